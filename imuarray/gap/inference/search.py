@@ -454,12 +454,18 @@ def _guesses_of(
             trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)
             for trial in (*lasting, *late)
         ]
-        if len(comparison.bench.base.headers) == 1:  # what concerns all sensors is the lone one's own
-            every = [replace(trial, shared=False) if trial.everywhere else trial for trial in every]
+        every = [
+            replace(trial, shared=False) if trial.everywhere and _is_alone(comparison) else trial for trial in every
+        ]
         alone, shared = (distinct(trial for trial in every if trial.shared == side) for side in (False, True))
         shared = [_with_fit_of_exchanged(comparison, train, trial) for trial in shared]
         guessed[unit] = _Guesses(alone, shared, placebo_of(evidence))
     return guessed
+
+
+def _is_alone(comparison: Comparison) -> bool:
+    """Return whether the array has one sensor: what concerns all sensors is its own."""
+    return len(comparison.bench.base.headers) == 1
 
 
 def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesis) -> Hypothesis:

@@ -13,6 +13,7 @@ from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.timing import late
 from imuarray.gap.inference.evidence import Evidence, Span
+from imuarray.gap.model.signal_delay import SignalDelay
 from imuarray.gap.recording.events import Host
 from imuarray.gap.recording.host_lag import HostLag
 from imuarray.simulate.effect import Effect
@@ -78,6 +79,21 @@ def test_a_clock_error_of_the_host_is_suggested() -> None:
     assert (warm.error_ppm, warm.warm_up_ppm) == (pytest.approx(-1000.0, rel=0.05), pytest.approx(1000.0, rel=0.05))
     assert warm.warm_up_s == pytest.approx(30.0, rel=0.1)
     assert not _of_the_host(bare, at_s[:2], 0.01 * at_s[:2])
+
+
+def test_the_clock_of_the_host_beside_a_delay_that_was_fitted_without_it() -> None:
+    """Lags of t / 1000 from 5 s to 100 s, half of which are before 52.5 s: the fit has their mean, 52.5 ms, and the
+    clock makes 52.5 ms of it.
+    """
+    bare = evidence_of("static", "A1")
+    delayed = replace(bare, fitted=replace(bare.fitted, delay=SignalDelay(stamp_s=0.0525)))
+    at_s = np.linspace(5, 100, 12)
+    bare_trial, beside = _of_the_host(delayed, at_s, 1e-3 * at_s)
+    assert len(bare_trial.effects) == 1
+    clock, skew = beside.effects
+    assert isinstance(clock, ClockError)
+    assert isinstance(skew, Skew)
+    assert (clock.error_ppm, skew.delay_s) == (pytest.approx(-1000.0), pytest.approx(-0.0525))
 
 
 def _of_the_host(evidence: Evidence, at_s: npt.NDArray[np.float64], lag_s: npt.NDArray[np.float64]) -> list[Hypothesis]:

@@ -188,7 +188,7 @@ def _clock_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
     weight = 1 / np.hypot(error_s, _FLOOR_S)
     still, steady = _fit_lags([np.ones_like(at_s)], lag_s, weight), _steady(at_s, lag_s, weight)
     if still.nats - steady.nats > _TELLING and abs(steady.ppm[0]) < _MOST_PPM:
-        yield Hypothesis((ClockError(steady.ppm[0]),), ("error_ppm",), shared=True, everywhere=True, whole=True)
+        yield from _of_all_sensors(evidence, ClockError(steady.ppm[0]), ("error_ppm",), at_s, weight)
     longest_s = float(np.ptp(at_s))
     settling = [
         (_settling(at_s, lag_s, weight, warm_up_s), warm_up_s)
@@ -197,7 +197,21 @@ def _clock_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
     best, warm_up_s = min(settling, key=lambda lag: lag[0].nats)
     if min(still.nats, steady.nats) - best.nats > _TELLING and max(map(abs, best.ppm)) < _MOST_PPM:
         effect = ClockError(best.ppm[0], best.ppm[1], warm_up_s)
-        yield Hypothesis((effect,), ("error_ppm", "warm_up_ppm"), shared=True, everywhere=True, whole=True)
+        yield from _of_all_sensors(evidence, effect, ("error_ppm", "warm_up_ppm"), at_s, weight)
+
+
+def _of_all_sensors(
+    evidence: Evidence, clock: ClockError, free: tuple[str, ...], at_s: Floats, weight: Floats
+) -> Iterator[Hypothesis]:
+    """Suggest the clock's error in all sensors. A delay that was fitted to the lags without it has the mean of what the
+    clock makes in it: then that is taken out again.
+    """
+    yield Hypothesis((clock,), free, shared=True, everywhere=True, whole=True)
+    if evidence.fitted.delay.stamp_s:
+        warm_up_s = -clock.warm_up_s * np.expm1(-at_s / clock.warm_up_s)
+        early_s = 1e-6 * (clock.error_ppm * at_s + clock.warm_up_ppm * warm_up_s)
+        effects = (clock, Skew(float(np.average(early_s, weights=weight**2))))
+        yield Hypothesis(effects, (*free, "delay_s"), shared=True, everywhere=True, whole=True)
 
 
 class _ClockFit(NamedTuple):
