@@ -28,11 +28,13 @@ from imuarray.gap.inference.forward_selection import (
     likeliest,
     placebo_of,
     replicates_of,
+    scores_by_wider,
     search_round,
 )
 from imuarray.gap.inference.refinement import FittedHypothesis, looks
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.conversion import Saturation
@@ -476,3 +478,15 @@ def test_a_range_limit_reached_in_one_part_only_is_tried(
     assert tried.shared == []
     assert [trial.effects[0] for trial in tried.alone] == [effect(number) for number in numbers]
     assert [trial.whole for trial in tried.alone] == [False, True][: len(numbers)]
+
+
+def test_scatter_that_a_change_narrows_by_chance_hides_nothing() -> None:
+    """A statistic at 6 standard deviations is explained, and 40 others at 1.2 scatter by half as much afterwards, or by
+    twice as much, by chance: by the wider scatter these add up to less than before.
+    """
+    real = np.array([6.0, *([1.2] * 40)])
+    always, never = np.ones(41, bool), np.zeros(41, bool)
+    before = SyntheticLikelihood(np.zeros(41), np.ones(41), always, never)
+    after = SyntheticLikelihood(np.array([6.0] + [0.0] * 40), np.array([1.0] + [0.5, 2.0] * 20), always, never)
+    np.testing.assert_allclose(scores_by_wider(before, after, real), [0.0] + [1.2, 0.6] * 20)
+    assert (after.scores(real) ** 2).sum() > (before.scores(real) ** 2).sum()

@@ -42,7 +42,7 @@ from imuarray.gap.inference.unit_state import (
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
-from imuarray.gap.statistics.synthetic_likelihood import independent_share
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, independent_share
 from imuarray.simulate.effects.bias import PopcornNoise
 from imuarray.simulate.effects.noise import Tone
 
@@ -97,7 +97,8 @@ class Evaluation:
 
     `own_share` of the gain comes from the unit's own statistics, not from its motion relative to others. `independent`
     is the independent share of the statistics that it moves, with it in the model: a slow drift moves many of them
-    together. `squared_scores` is the sum of squares of the held-out part with it, `closes` whether that decreased.
+    together. `squared_scores` is the sum of squares of the held-out part with it (`scores_by_wider`), `closes` whether
+    that decreased.
     """
 
     hypothesis: FittedHypothesis
@@ -265,7 +266,7 @@ def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> 
     independent = independent_share(likelihood.scores(values)[:, touched]) if touched.any() else standing.independent
     state = replace(changed, likelihood=likelihood)
     counted = np.ones_like(out) if hypothesis.trial.needs_both else out
-    squared_scores = _squares(state.scores[counted])
+    squared_scores = _squares(scores_by_wider(before, likelihood, standing.real)[counted])
     closes = squared_scores <= _squares(standing.scores[counted])
     return Evaluation(hypothesis, state, train_gain, gain, share, independent, closes, squared_scores)
 
@@ -565,6 +566,15 @@ def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
     if evaluation.factors or evaluation.train_gain < 0:
         return -math.inf
     return temper * (evaluation.train_gain + evaluation.gain - 2 * BRIEF)
+
+
+def scores_by_wider(before: SyntheticLikelihood, after: SyntheticLikelihood, real: Floats) -> Floats:
+    """Return the scores (n,) of the recording after a change, by the larger of the scatters before and after it.
+
+    A change of the times of rows draws all noise anew, and by the chance of few replicates hundreds of statistics then
+    scatter by half of what they did, or by twice that: the narrower ones would hide that a cause closes the gap.
+    """
+    return replace(after, scale=np.fmax(before.scale, after.scale)).scores(real)
 
 
 def _squares(scores: Floats) -> float:
