@@ -51,14 +51,16 @@ def run(*words: str | Path) -> None:
 
 def columns(path: Path) -> dict[str, Any]:
     """Every dataset of numbers of a file."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     with h5py.File(path) as file:
         file.visititems(
             lambda name, item: (
-                found.update({name: item[...]}) if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" else None
+                result.update({name: item[...]})
+                if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf"
+                else None
             )
         )
-    return found
+    return result
 
 
 def equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
@@ -187,17 +189,17 @@ def test_a_fusion_remarks_on_missing_calibration(folder: Path) -> None:
 @pytest.mark.slow
 def test_a_characterisation_equals_that_of_the_command(folder: Path, tmp_path: Path) -> None:
     run("characterise", folder / "rest.h5", "-o", tmp_path / "noise", "--sensor", "Gyro1,BMA1")
-    found = ia.characterise(folder / "rest.h5", sensors=["Gyro1", "BMA1"])
-    assert found.result == json.loads((tmp_path / "noise" / "characterise.json").read_text())
-    white = found.coefficient("Gyro1", "x")
+    characterisation = ia.characterise(folder / "rest.h5", sensors=["Gyro1", "BMA1"])
+    assert characterisation.result == json.loads((tmp_path / "noise" / "characterise.json").read_text())
+    white = characterisation.coefficient("Gyro1", "x")
     assert white is not None
     assert white.low < white.value < white.high
     assert white.unit == "dps/sqrt(Hz)"
     assert repr(white).startswith(f"Coefficient(value={white.value:.4g}, low={white.low:.4g}")
     # counts that are white with a scatter of s at r rows a second have N = s / sqrt(r)
-    entry = found.axis("Gyro1", "x")
+    entry = characterisation.axis("Gyro1", "x")
     assert white.value == pytest.approx(entry["unit"]["std"] / np.sqrt(50.0), rel=0.1)
-    table = found.to_pandas()
+    table = characterisation.to_pandas()
     assert table.loc[("Gyro1", "x"), "N"] == white.value
     for sensor, axis, term, words in (
         ("Gyro7", "x", "white", "no sensor 'Gyro7'"),
@@ -205,7 +207,7 @@ def test_a_characterisation_equals_that_of_the_command(folder: Path, tmp_path: P
         ("Gyro1", "x", "pink", "allowed are white"),
     ):
         with pytest.raises(LogError, match=words):
-            found.coefficient(sensor, axis, term)
+            characterisation.coefficient(sensor, axis, term)
 
 
 @pytest.mark.slow
@@ -236,13 +238,13 @@ def test_a_figure_of_an_unmeasured_group_is_refused(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_one_log_is_diagnosed_without_a_list(folder: Path, tmp_path: Path) -> None:
-    found = ia.diagnose(folder / "rest.h5", model="martin2013", only=["Gyro1"], replicates=40)
-    assert [recording.name for recording in found.recorded] == ["rest.h5"]
-    found.plot().savefig(tmp_path / "found.svg")
-    assert found.verdict in repr(found)
-    assert " ".join(str(found).split()).startswith(f"Verdict {found.verdict}: {found.reason} Chance p ")
-    assert found.sentence in found._repr_html_()
-    assert "<table>" in found._repr_html_()
+    diagnosis = ia.diagnose(folder / "rest.h5", model="martin2013", only=["Gyro1"], replicates=40)
+    assert [recording.name for recording in diagnosis.recorded] == ["rest.h5"]
+    diagnosis.plot().savefig(tmp_path / "found.svg")
+    assert diagnosis.verdict in repr(diagnosis)
+    assert " ".join(str(diagnosis).split()).startswith(f"Verdict {diagnosis.verdict}: {diagnosis.reason} Chance p ")
+    assert diagnosis.sentence in diagnosis._repr_html_()
+    assert "<table>" in diagnosis._repr_html_()
 
 
 @pytest.mark.parametrize("name", ["fuse", "simulate", "characterise"])
@@ -418,7 +420,7 @@ def test_a_single_name_is_not_split_into_letters(folder: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"seconds": -1}, "seconds: -1; allowed is anything above 0$"),
         ({"seconds": 1e30}, r"allowed is anything above 0 and below 4.6e\+09 s"),
@@ -427,8 +429,8 @@ def test_a_single_name_is_not_split_into_letters(folder: Path, tmp_path: Path) -
         ({"rate_hz": 0}, "0 frames per second: allowed is anything above 0"),
     ],
 )
-def test_invalid_conditions_are_refused(tmp_path: Path, options: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_invalid_conditions_are_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         ia.simulate("martin2013", tmp_path / "s.h5", **{"seconds": 1, **options})
     assert not list(tmp_path.iterdir())
 

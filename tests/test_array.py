@@ -92,7 +92,7 @@ def test_an_array_can_be_reduced_to_some_sensors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         # Unknown keys, in any table, with the nearest that exists and all that exist.
         (
@@ -168,23 +168,23 @@ def test_an_array_can_be_reduced_to_some_sensors() -> None:
         ("\x00", r"not TOML: "),
     ],
 )
-def test_invalid_files_are_refused(tmp_path: Path, text: str, said: str) -> None:
-    assert re.match(said, refusal(tmp_path, text)), refusal(tmp_path, text)
+def test_invalid_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    assert re.match(message, refusal(tmp_path, text)), refusal(tmp_path, text)
 
 
 def test_every_kind_of_mistake_is_reported_at_once(tmp_path: Path) -> None:
     """Unknown keys, and of each sensor everything that its chip does not have."""
     text = GOOD.replace('name = "small"', 'name = "small"\ncolour = "red"')
     text = text.replace('chip = "bma180"', 'chip = "bma18"\nfoo = 1').replace("range = 2000", "range = 2001")
-    told = refusal(tmp_path, text.replace('axes = "+X-Y-Z"', 'axes = "+X+Y"'))
+    message = refusal(tmp_path, text.replace('axes = "+X-Y-Z"', 'axes = "+X+Y"'))
     for mistake in ("colour: unknown key", "foo: unknown key", "chip 'bma18'", "range 2001: allowed", "axes '+X+Y'"):
-        assert told.count(mistake) == 1, mistake
+        assert message.count(mistake) == 1, mistake
 
 
 def test_mistakes_name_file_and_line(tmp_path: Path) -> None:
     """Line numbers counted by hand in GOOD, whose first line is empty."""
     path = tmp_path / "mine.toml"
-    for text, said in (
+    for text, expected in (
         (changed("range = 16", "range = 17\nqqqq = 1"), (":11: sensor 1 'Acc': qqqq", ":10: sensor 1 'Acc': range 17")),
         (changed('name = "Gyro"', 'name = "Acc"'), (":13: 2 sensors are called 'Acc'",)),
         (
@@ -199,8 +199,8 @@ def test_mistakes_name_file_and_line(tmp_path: Path) -> None:
         with pytest.raises(ConfigError) as refused:
             load_array(path)
         mistakes = str(refused.value).split(f"; {path}")
-        assert len(mistakes) == len(said), mistakes
-        for mistake, words in zip(mistakes, said, strict=True):
+        assert len(mistakes) == len(expected), mistakes
+        for mistake, words in zip(mistakes, expected, strict=True):
             assert mistake.removeprefix(str(path)).startswith(words)
 
 
@@ -214,9 +214,9 @@ def test_a_mux_at_0x77_with_a_bmp180_is_refused(tmp_path: Path, channel: str) ->
 
 
 def test_every_mistake_is_reported_at_once(tmp_path: Path) -> None:
-    said = refusal(tmp_path, GOOD.replace("range = 16", "range = 17").replace("range = 2000", "range = 2001"))
-    assert "'Acc': range 17" in said
-    assert "'Gyro': range 2001" in said
+    message = refusal(tmp_path, GOOD.replace("range = 16", "range = 17").replace("range = 2000", "range = 2001"))
+    assert "'Acc': range 17" in message
+    assert "'Gyro': range 2001" in message
 
 
 def test_a_file_other_than_utf8_is_refused(tmp_path: Path) -> None:

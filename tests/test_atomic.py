@@ -64,8 +64,8 @@ def test_a_device_is_written_and_not_replaced() -> None:
 
 
 def test_the_message_of_hdf5_is_not_repeated() -> None:
-    told = OutputError("f.h5", OSError(errno.ENOSPC, "Unable to create file (file write failed: time = Sun ...)"))
-    assert str(told) == "f.h5: can't be written: No space left on device"
+    error = OutputError("f.h5", OSError(errno.ENOSPC, "Unable to create file (file write failed: time = Sun ...)"))
+    assert str(error) == "f.h5: can't be written: No space left on device"
 
 
 def test_a_missing_folder_is_reported(tmp_path: Path) -> None:

@@ -113,20 +113,20 @@ def test_log_and_info_print_json(run: Run, here: Path) -> None:
     arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "2", "--phase", "x_down", "--json")
     code, out, err = run("log", "one.toml", *arguments)
     assert (code, err) == (0, [])
-    said = json.loads(out)
-    assert (said["log"], said["frames"], said["late"], said["lost"]) == ("r.h5", 100, 0, {})
-    assert said["seconds"] == pytest.approx(2.0, abs=0.1)
+    summary = json.loads(out)
+    assert (summary["log"], summary["frames"], summary["late"], summary["lost"]) == ("r.h5", 100, 0, {})
+    assert summary["seconds"] == pytest.approx(2.0, abs=0.1)
     code, out, err = run("info", "r.h5", "--json")
     assert (code, err) == (0, [])
-    told = json.loads(out)
-    assert told["source"] == "emulated"
-    assert told["truth"] is True
-    assert [(phase["name"], phase["up"], phase["start_s"]) for phase in told["phases"]] == [("x_down", "-X", 0.0)]
-    sensors = {sensor["name"]: sensor for sensor in told["sensors"]}
+    report = json.loads(out)
+    assert report["source"] == "emulated"
+    assert report["truth"] is True
+    assert [(phase["name"], phase["up"], phase["start_s"]) for phase in report["phases"]] == [("x_down", "-X", 0.0)]
+    sensors = {sensor["name"]: sensor for sensor in report["sensors"]}
     assert sensors["A"]["rows"] == sensors["M"]["rows"] == 100
     assert sensors["A"]["rate_hz"] == pytest.approx(50.0, rel=1e-3)
     assert (sensors["A"]["range"], sensors["A"]["unit"], sensors["M"]["quantity"]) == (4.0, "g", "magnetic_field")
-    assert told["events"] == []
+    assert report["events"] == []
     assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
 
 
@@ -175,10 +175,10 @@ def test_importing_a_log_is_refused_and_phases_are_suggested(run: Run, here: Pat
 
 def test_shipped_configurations_are_loaded_by_name(run: Run) -> None:
     code, out, _ = run("detect", "martin2013", "--bus", "emulated:", "--json")
-    told = json.loads(out)
+    report = json.loads(out)
     assert code == 0
-    assert told["ok"] is True
-    assert len(told["found"]) == 13
+    assert report["ok"] is True
+    assert len(report["found"]) == 13
 
 
 def test_detect_reports_differences_and_exits_with_2(run: Run, here: Path) -> None:
@@ -251,9 +251,9 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "said"), BAD_INPUT)
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_one_line_exit_code_2_and_leaves_no_file(
-    run: Run, here: Path, arguments: tuple[str, ...], said: str
+    run: Run, here: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     (here / "broken.toml").write_text("[array")
     (here / "wrong.toml").write_text(CONFIG.replace("range = 4", "range = 5"))
@@ -274,12 +274,12 @@ def test_bad_input_is_one_line_exit_code_2_and_leaves_no_file(
     assert out == ""
     assert len(err) == 1, err
     assert err[0].startswith("imuarray: ")
-    assert said in err[0]
+    assert message in err[0]
     assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before  # hidden .part files included
 
 
 @pytest.mark.parametrize(
-    ("phase", "said"),
+    ("phase", "message"),
     some(
         [
             ("zoup", "did you mean z_up?"),
@@ -291,13 +291,13 @@ def test_bad_input_is_one_line_exit_code_2_and_leaves_no_file(
         2,
     ),
 )
-def test_a_phase_similar_to_a_known_name_is_mentioned(run: Run, here: Path, phase: str, said: str) -> None:
+def test_a_phase_similar_to_a_known_name_is_mentioned(run: Run, here: Path, phase: str, message: str) -> None:
     """Other names are allowed: they are recorded as they are."""
     code, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "0.1", "--phase", phase)
     assert code == 0
     mentioned = [line for line in err if "not a name that other commands recognise" in line]
-    assert len(mentioned) == bool(said)
-    assert all(said in line for line in mentioned)
+    assert len(mentioned) == bool(message)
+    assert all(message in line for line in mentioned)
     with open_log(here / "r.h5") as log:
         assert [one.name for one in log.phases] == [phase]
 
@@ -313,7 +313,7 @@ def test_a_phase_that_differs_only_in_punctuation_is_refused(run: Run, here: Pat
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("fuse cal.toml run.h5 -o f.h5", "unexpected argument run.h5; allowed is imuarray fuse [OPTIONS] RUN.h5"),
         ("log martin2013 --rate-hz 50Hz -o r.h5", "'50Hz' is not a number from 0.01 to 3200"),
@@ -337,12 +337,12 @@ def test_a_phase_that_differs_only_in_punctuation_is_refused(run: Run, here: Pat
         ("monitor cal.toml --text", "cal.toml: is not a log; allowed is an HDF5 file (.h5) that is written or will be"),
     ],
 )
-def test_the_error_of_a_mistake_states_the_allowed_values(run: Run, here: Path, line: str, said: str) -> None:
+def test_the_error_of_a_mistake_states_the_allowed_values(run: Run, here: Path, line: str, message: str) -> None:
     for name in ("cal.toml", "run.csv"):
         (here / name).write_text("")
     code, out, err = run(*line.split())
     assert (code, out, len(err)) == (2, "", 1)
-    assert err[0].endswith(said)
+    assert err[0].endswith(message)
 
 
 def test_a_folder_is_never_replaced(run: Run, here: Path) -> None:
@@ -420,9 +420,9 @@ def test_an_interrupt_ends_a_log_cleanly(here: Path, number: int) -> None:
     first, *events = done.stderr.splitlines()
     assert (done.returncode, first) == (0, NOTE)
     assert [line for line in events if " late: " not in line] == []  # that is of a machine that was busy
-    said = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     with open_log(here / "r.h5") as log:
-        assert len(log["A"]) == len(log["M"]) == said["frames"] > 3
+        assert len(log["A"]) == len(log["M"]) == report["frames"] > 3
         assert log.source == "emulated"
     assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
 
@@ -432,11 +432,11 @@ def test_an_ignored_hang_up_stays_ignored(here: Path) -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with Interruptible() as stop:
-            heard = []
+            states = []
             for number in (signal.SIGHUP, signal.SIGTERM):
                 os.kill(os.getpid(), number)
-                heard.append((stop.asked, stop.hung_up))
-        assert heard == [(False, False), (True, False)]
+                states.append((stop.asked, stop.hung_up))
+        assert states == [(False, False), (True, False)]
     finally:
         signal.signal(signal.SIGHUP, before)
 
@@ -477,15 +477,15 @@ def test_events_are_shown_by_info(run: Run, here: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(Wire, "transfer", flaky)
     code, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "2")
     assert code == 0
-    told, end = err
-    assert re.fullmatch(r" +\d\.\d s  A lost: no reading: Remote I/O error \(errno 121\)", told)
+    report, end = err
+    assert re.fullmatch(r" +\d\.\d s  A lost: no reading: Remote I/O error \(errno 121\)", report)
     assert re.fullmatch(r" +\d\.\d s  A lost: in all 5 readings lost in 0\.1 s", end)
     assert "  A: 5 readings lost (see events: imuarray info r.h5)" in out
     _, out, _ = run("info", "r.h5", "--json")
-    told = json.loads(out)
-    assert [(event["sensor"], event["kind"]) for event in told["events"]] == [("A", "lost")] * 2
-    assert told["sensors"][0]["rows"] == 95
-    assert told["sensors"][0]["flags"] == {"lost_before": 1}
+    report = json.loads(out)
+    assert [(event["sensor"], event["kind"]) for event in report["events"]] == [("A", "lost")] * 2
+    assert report["sensors"][0]["rows"] == 95
+    assert report["sensors"][0]["flags"] == {"lost_before": 1}
     assert "A lost: no reading: Remote I/O error (errno 121)" in run("info", "r.h5")[1]
 
 

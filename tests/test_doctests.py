@@ -75,11 +75,11 @@ def make_logs(example: str, folder: Path) -> None:
 def test_the_example_runs(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     shown, around = resolved(name)
-    (found,) = doctest.DocTestFinder(recurse=False).find(shown, name, globs=around)
-    assert found.examples
-    make_logs("".join(example.source for example in found.examples), folder)
+    (result,) = doctest.DocTestFinder(recurse=False).find(shown, name, globs=around)
+    assert result.examples
+    make_logs("".join(example.source for example in result.examples), folder)
     report: list[str] = []
-    assert doctest.DocTestRunner().run(found, out=report.append).failed == 0, "".join(report)
+    assert doctest.DocTestRunner().run(result, out=report.append).failed == 0, "".join(report)
 
 
 def resolved(name: str) -> tuple[Any, dict[str, Any]]:

@@ -26,9 +26,9 @@ def test_a_driver_that_departs_from_the_conversation_is_refused() -> None:
 @pytest.mark.slow
 def test_the_script_from_a_night_to_numbers_gives_bias_and_noise(tmp_path: Path) -> None:
     """Table 4 gives Gyro1 x a bias of 8.4 counts; the emulated unit's noise is 0.18 dps over 35 Hz at best (L3G-74)."""
-    found = runpy.run_path(str(EXAMPLES / "night_to_numbers.py"))["main"](tmp_path)
-    assert found["Gyro1 x bias in counts"] == pytest.approx(8.4, abs=2.0)
-    assert 0.01 < found["Gyro1 x white noise, dps/sqrt(Hz), from"] < found["to"] < 0.06
+    results = runpy.run_path(str(EXAMPLES / "night_to_numbers.py"))["main"](tmp_path)
+    assert results["Gyro1 x bias in counts"] == pytest.approx(8.4, abs=2.0)
+    assert 0.01 < results["Gyro1 x white noise, dps/sqrt(Hz), from"] < results["to"] < 0.06
     assert (tmp_path / "calibration.toml").exists()
 
 

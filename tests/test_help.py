@@ -15,11 +15,11 @@ from imuarray.cli import program
 def leaves(group: click.Group, words: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], click.Command]]:
     """The commands that do something, each with the words that call it."""
     for name in group.list_commands(click.Context(group)):
-        found = group.get_command(click.Context(group), name)
-        if isinstance(found, click.Group):
-            yield from leaves(found, (*words, name))
-        elif found is not None:
-            yield (*words, name), found
+        result = group.get_command(click.Context(group), name)
+        if isinstance(result, click.Group):
+            yield from leaves(result, (*words, name))
+        elif result is not None:
+            yield (*words, name), result
 
 
 FOUND = list(leaves(program, ("imuarray",)))
@@ -32,13 +32,13 @@ def test_every_command_has_an_example_with_valid_options(words: tuple[str, ...],
     examples = re.findall(rf"^  {' '.join(words)} (.+)$", story, flags=re.MULTILINE)
     assert examples
     for example in examples:
-        said = shlex.split(example.split(" > ")[0], comments=True)
-        command.make_parser(context).parse_args(said)  # click.NoSuchOption for one that it has not
+        arguments = shlex.split(example.split(" > ")[0], comments=True)
+        command.make_parser(context).parse_args(arguments)  # click.NoSuchOption for one that it has not
 
 
 @pytest.mark.parametrize("group", ["", "calibrate", "gap"])
 def test_lists_of_commands_have_whole_sentences(group: str) -> None:
     """Click cuts a first sentence that is longer than 45 characters, and ends it with three dots."""
-    found = program.get_command(click.Context(program), group) if group else program
-    assert found is not None
-    assert "..." not in found.get_help(click.Context(found)).split("Commands:")[1]
+    result = program.get_command(click.Context(program), group) if group else program
+    assert result is not None
+    assert "..." not in result.get_help(click.Context(result)).split("Commands:")[1]

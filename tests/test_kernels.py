@@ -90,9 +90,9 @@ def test_compiled_differences_of_axes_equal_those_of_numpy(count: int, monkeypat
     compiled = ranges._track(start_of(9), segments, walks, blend)
     monkeypatch.setattr(kernels, "COMPILED", False)
     wanted = ranges._track(start_of(9), segments, walks, blend)
-    for found, each in zip(compiled, wanted, strict=True):
-        assert found.shape == each.shape
-        np.testing.assert_allclose(found, each, rtol=1e-9, atol=1e-12)
+    for result, each in zip(compiled, wanted, strict=True):
+        assert result.shape == each.shape
+        np.testing.assert_allclose(result, each, rtol=1e-9, atol=1e-12)
     if count > 1:
         assert np.abs(wanted[0][-1] - wanted[0][0]).max() > 0.01  # they converge
 
@@ -104,15 +104,15 @@ def test_non_negative_least_squares_equal_those_of_scipy(columns: int) -> None:
     for _ in range(100):
         design = np.abs(rng.normal(size=(20, columns))) ** rng.choice([1, 3])
         target = design @ np.maximum(rng.normal(size=columns), 0.0) + rng.normal(0, 0.5, 20)
-        found, (wanted, residual) = kernels.non_negative(design, target), nnls(design, target)
-        assert found is not None and found.min() >= 0
-        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10)
-        assert np.linalg.norm(design @ found - target) == pytest.approx(residual, rel=1e-12)
+        result, (wanted, residual) = kernels.non_negative(design, target), nnls(design, target)
+        assert result is not None and result.min() >= 0
+        np.testing.assert_allclose(result, wanted, rtol=1e-9, atol=1e-10)
+        assert np.linalg.norm(design @ result - target) == pytest.approx(residual, rel=1e-12)
 
 
 def test_a_target_of_opposite_direction_has_zero_coefficients() -> None:
-    found = kernels.non_negative(np.ones((4, 2)), -np.ones(4))
-    assert found is not None and found.tolist() == [0.0, 0.0]
+    result = kernels.non_negative(np.ones((4, 2)), -np.ones(4))
+    assert result is not None and result.tolist() == [0.0, 0.0]
 
 
 def test_other_sizes_are_refused() -> None:

@@ -32,8 +32,8 @@ KINDS = {"sh", "sh slow", "sh setup", "sh hardware", "python", "toml", "text"}
 
 def blocks(page: Path, kind: str = "") -> list[str]:
     """The code blocks of a page, of one kind or of all."""
-    found = re.findall(r"^ *```(\w+(?: \w+)?)\n(.*?)^ *```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    return [text for name, text in found if kind in (name, "")]
+    pairs = re.findall(r"^ *```(\w+(?: \w+)?)\n(.*?)^ *```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [text for name, text in pairs if kind in (name, "")]
 
 
 def lines(page: Path, kind: str) -> list[str]:

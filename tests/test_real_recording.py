@@ -44,8 +44,8 @@ def report(folder: Path) -> dict[str, Any]:
         printed: list[Any] = []
         patch.setattr("imuarray.commands.calibrate.print_json", printed.append)
         assert main(["calibrate", "tumble", str(run), "-o", str(output), "--json"]) == 0
-    found: dict[str, Any] = json.loads(json.dumps(printed[0]))
-    return found
+    report: dict[str, Any] = json.loads(json.dumps(printed[0]))
+    return report
 
 
 def test_the_twenty_orientations_are_detected_and_fit(report: dict[str, Any]) -> None:
@@ -117,10 +117,10 @@ def noise(folder: Path, report: dict[str, Any]) -> str:
     """The result of `calibrate noise` for the extract; its figures are in cal.toml from then on."""
     assert report["poses"] == 20
     with pytest.MonkeyPatch.context() as patch:
-        said: list[str] = []
-        patch.setattr("imuarray.commands.calibrate_noise.click.echo", said.append)
+        outputs: list[str] = []
+        patch.setattr("imuarray.commands.calibrate_noise.click.echo", outputs.append)
         assert main(["calibrate", "noise", str(folder / "run.h5"), "-o", str(folder / "cal.toml"), "--update"]) == 0
-    return "\n".join(said)
+    return "\n".join(outputs)
 
 
 @pytest.mark.slow

@@ -111,9 +111,9 @@ def test_the_emulated_array_draws_oscillators_on_request(tmp_path: Path) -> None
     assert abs(periods["A1"] / periods["A2"] - 1) > 1e-3
     assert max(abs(period / 1e6 - 1) for period in periods.values()) < 0.0105
     with open_log(tmp_path / "run.h5") as log:
-        found = find_alignment(log)
-    assert found is not None
-    sensors = {sensor.name: sensor for sensor in found.sensors}
+        alignment = find_alignment(log)
+    assert alignment is not None
+    sensors = {sensor.name: sensor for sensor in alignment.sensors}
     assert sensors["G2"].rate_ppm == pytest.approx(1e6 * (periods["A1"] / periods["A2"] - 1), abs=200)
     assert sensors["G2"].delay_s == pytest.approx(0.0, abs=50e-6)  # both are timed by their queues
 

@@ -78,16 +78,16 @@ def test_a_missing_mux_is_reported(an_array: Callable[..., Any], tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("source", "said"),
+    ("source", "message"),
     [("emulated", "no chip answers; imuarray detect --doctor --bus emulated:"), ("iio", "the kernel serves no device")],
 )
 def test_a_bus_without_chips_is_reported(
-    source: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    source: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("imuarray.acquire.explore", lambda bus: [])
     monkeypatch.setattr("firmware_emulator.array.EmulatedBus.source", source)
     assert main(["detect", "--bus", "emulated:"]) == 0
-    assert said in capsys.readouterr().out
+    assert message in capsys.readouterr().out
 
 
 def test_detects_chips_without_a_mux(tmp_path: Path) -> None:
@@ -214,10 +214,10 @@ def test_an_undetermined_self_test_neither_passes_nor_fails(
 
     monkeypatch.setattr(Wire, "transfer", slow)
     assert main(["detect", str(tmp_path / "a.toml"), "--bus", "emulated:", "--self-test"]) == 1
-    said = capsys.readouterr().out
-    assert "  ?   channel 1 address 0x40   B (bma180)" in said
-    assert "self-test undetermined" in said
-    assert said.splitlines()[-1] == "2 of 3 as configured, 0 not, 1 undetermined"
+    output = capsys.readouterr().out
+    assert "  ?   channel 1 address 0x40   B (bma180)" in output
+    assert "self-test undetermined" in output
+    assert output.splitlines()[-1] == "2 of 3 as configured, 0 not, 1 undetermined"
 
 
 def test_an_active_adaptive_range_is_a_remark_and_no_failure() -> None:

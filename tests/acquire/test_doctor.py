@@ -80,8 +80,8 @@ def wrong(checks: list[Check]) -> list[tuple[str, str, str]]:
 
 
 def only(checks: list[Check]) -> tuple[str, str, str]:
-    (found,) = wrong(checks)
-    return found
+    (result,) = wrong(checks)
+    return result
 
 
 URL = "i2c:/dev/i2c-1"
@@ -90,12 +90,12 @@ URL = "i2c:/dev/i2c-1"
 def test_a_working_machine_passes_all_checks(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     checks = examine(array, URL, logs, 50, machine=machine, talk=lambda: [Check("sensors", True, "all 2 answer")])
     assert wrong(checks) == []
-    said = {check.name: check.found for check in checks}
-    assert said["adapter"] == "/dev/i2c-1: bcm2835 (i2c@7e804000)"
-    assert "group i2c, mode 0660" in said["permission"]
-    assert said["bus clock"].startswith("400 kHz: at most ")
-    assert "bcm2835" in said["quirks"]
-    assert said["sensors"] == "all 2 answer"
+    results = {check.name: check.found for check in checks}
+    assert results["adapter"] == "/dev/i2c-1: bcm2835 (i2c@7e804000)"
+    assert "group i2c, mode 0660" in results["permission"]
+    assert results["bus clock"].startswith("400 kHz: at most ")
+    assert "bcm2835" in results["quirks"]
+    assert results["sensors"] == "all 2 answer"
 
 
 def test_the_scl_clocks_of_a_frame_are_counted(array: ArrayConfig) -> None:
@@ -105,8 +105,8 @@ def test_the_scl_clocks_of_a_frame_are_counted(array: ArrayConfig) -> None:
 
 def test_a_machine_without_a_bus_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     shutil.rmtree(machine.root / "sys")
-    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
-    assert (name, found) == ("adapter", "this machine has no I2C bus")
+    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, result) == ("adapter", "this machine has no I2C bus")
     assert "dtparam=i2c_arm=on" in advice
 
 
@@ -121,27 +121,27 @@ def test_a_module_that_is_not_loaded_is_reported(array: ArrayConfig, machine: Ma
 def test_other_buses_are_listed_where_the_configured_bus_is_missing(
     array: ArrayConfig, machine: Machine, logs: Path
 ) -> None:
-    name, found, _ = only(examine(array, "i2c:/dev/i2c-7", logs, 50, machine=machine, talk=pytest.fail))
-    assert (name, found) == ("adapter", "/dev/i2c-7; there are /dev/i2c-1")
+    name, result, _ = only(examine(array, "i2c:/dev/i2c-7", logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, result) == ("adapter", "/dev/i2c-7; there are /dev/i2c-1")
 
 
-@pytest.mark.parametrize(("mode", "said"), [(0o660, "sudo adduser $USER i2c"), (0o600, "udev rule")])
+@pytest.mark.parametrize(("mode", "message"), [(0o660, "sudo adduser $USER i2c"), (0o600, "udev rule")])
 def test_a_missing_permission_is_reported(
-    array: ArrayConfig, machine: Machine, logs: Path, mode: int, said: str
+    array: ArrayConfig, machine: Machine, logs: Path, mode: int, message: str
 ) -> None:
     (machine.root / "dev/i2c-1").chmod(mode)
     stranger = replace(machine, groups=frozenset({USER}))
     name, _, advice = only(examine(array, URL, logs, 50, machine=stranger, talk=pytest.fail))
     assert name == "permission"
-    assert said in advice
+    assert message in advice
     assert wrong(examine(array, URL, logs, 50, machine=replace(stranger, user=0))) == []
 
 
 def test_a_bus_that_is_too_slow_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     clock = machine.root / "sys/bus/i2c/devices/i2c-1/of_node/clock-frequency"
     clock.write_bytes((10_000).to_bytes(4, "big"))
-    name, found, advice = only(examine(array, URL, logs, 50, machine=machine))
-    assert (name, found) == ("bus clock", "10 kHz: at most 48 frames of this array a second")  # 10000 / 207
+    name, result, advice = only(examine(array, URL, logs, 50, machine=machine))
+    assert (name, result) == ("bus clock", "10 kHz: at most 48 frames of this array a second")  # 10000 / 207
     assert "i2c_arm_baudrate" in advice
     clock.unlink()
     assert wrong(examine(array, URL, logs, 50, machine=machine)) == []  # an unknown clock is no failure
@@ -149,8 +149,8 @@ def test_a_bus_that_is_too_slow_is_reported(array: ArrayConfig, machine: Machine
 
 def test_an_adapter_of_smbus_alone_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     smbus = replace(machine, functionality=lambda device: SMBUS_ONLY)
-    name, found, _ = only(examine(array, URL, logs, 50, machine=smbus, talk=pytest.fail))
-    assert (name, found) == ("abilities", "/dev/i2c-1: SMBus only")
+    name, result, _ = only(examine(array, URL, logs, 50, machine=smbus, talk=pytest.fail))
+    assert (name, result) == ("abilities", "/dev/i2c-1: SMBus only")
 
 
 def bind(machine: Machine, place: str, driver: str) -> Path:
@@ -163,8 +163,8 @@ def bind(machine: Machine, place: str, driver: str) -> Path:
 
 def test_a_sensor_that_a_kernel_driver_owns_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     bind(machine, "1-0053", "adxl34x")
-    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
-    assert (name, found) == ("kernel driver", "/dev/i2c-1 0x53 (A) belongs to adxl34x")
+    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, result) == ("kernel driver", "/dev/i2c-1 0x53 (A) belongs to adxl34x")
     assert advice == "echo 1-0053 | sudo tee /sys/bus/i2c/drivers/adxl34x/unbind"
 
 
@@ -172,8 +172,8 @@ def test_a_multiplexer_that_a_kernel_driver_owns_is_reported(array: ArrayConfig,
     mux = bind(machine, "1-0070", "pca954x")
     for channel in range(2):
         (mux / f"channel-{channel}").symlink_to(f"../i2c-{11 + channel}")
-    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
-    assert (name, found) == ("kernel driver", "/dev/i2c-1 0x70 (the multiplexer) belongs to pca954x")
+    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, result) == ("kernel driver", "/dev/i2c-1 0x70 (the multiplexer) belongs to pca954x")
     assert "channel-0 is /dev/i2c-11, channel-1 is /dev/i2c-12" in advice
 
 
@@ -182,8 +182,8 @@ def test_a_multiplexer_at_the_barometers_address_is_reported(machine: Machine, l
         ARRAY.replace("0x70", "0x77").replace('chip = "bmp180"', 'chip = "adxl345"').replace("rate_hz = 8", "range = 2")
     )
     array = parse_array(text.replace("address = 0x77\nrange", "address = 0x1D\nrange"))
-    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
-    assert (name, found) == ("address 0x77", "the multiplexer has the BMP180's address")
+    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, result) == ("address 0x77", "the multiplexer has the BMP180's address")
     assert "0x70 to 0x76" in advice
 
 
@@ -194,8 +194,8 @@ def test_a_multiplexer_of_the_kernel_at_the_barometers_address_is_reported(machi
     (devices / "i2c-11/mux_device").symlink_to("../1-0077")
     (machine.root / "dev/i2c-11").touch()
     (machine.root / "dev/i2c-11").chmod(0o666)
-    name, found, _ = only(examine(array, "i2c:", logs, 5, machine=machine, talk=pytest.fail))
-    assert (name, found) == ("address 0x77", "P: the multiplexer before it has its address")
+    name, result, _ = only(examine(array, "i2c:", logs, 5, machine=machine, talk=pytest.fail))
+    assert (name, result) == ("address 0x77", "P: the multiplexer before it has its address")
 
 
 def test_errors_of_opening_and_talking_are_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
@@ -206,8 +206,8 @@ def test_errors_of_opening_and_talking_are_reported(array: ArrayConfig, machine:
         raise OSError(110, "Connection timed out")
 
     assert only(examine(array, URL, logs, 50, machine=machine, talk=locked))[0] == "opening"
-    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=hung))
-    assert (name, found) == ("talking", "Connection timed out (errno 110)")
+    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=hung))
+    assert (name, result) == ("talking", "Connection timed out (errno 110)")
     assert "holds a wire low" in advice
 
 
@@ -227,14 +227,14 @@ def test_a_serial_port_is_checked(array: ArrayConfig, machine: Machine, logs: Pa
 
 def test_free_space_on_the_disk_is_checked(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     nearly_full = replace(machine, free_bytes=lambda folder: 70 << 20)
-    name, found, _ = only(examine(array, URL, logs, 50, machine=nearly_full))
+    name, result, _ = only(examine(array, URL, logs, 50, machine=nearly_full))
     assert name == "disk"
     # 50 rows of 8 + 6 + 2 bytes and 8 of 8 + 8 + 2 + 16, twice: 2144 bytes/s; 70 - 64 - 1 MiB are for them
-    assert found == f"70 MiB free: about {5 * 2**20 / 2144 / 3600:.1f} h at 50 frames a second"
+    assert result == f"70 MiB free: about {5 * 2**20 / 2144 / 3600:.1f} h at 50 frames a second"
     for gigabytes, about in ((0.2, "19 h"), (9, "52 days")):  # less the 65 MiB, at 2144 bytes/s
         plenty = replace(machine, free_bytes=lambda folder, free=gigabytes: int(free * 2**30))
-        found = {check.name: check.found for check in examine(array, URL, logs, 50, machine=plenty)}
-        assert f": about {about} at" in found["disk"]
+        result = {check.name: check.found for check in examine(array, URL, logs, 50, machine=plenty)}
+        assert f": about {about} at" in result["disk"]
     assert only(examine(array, URL, logs / "none", 50, machine=machine))[0] == "folder"
 
 
@@ -264,9 +264,9 @@ def test_the_command_reports_all_checks(logs: Path, capsys: pytest.CaptureFixtur
     assert "all 13 answer" in capsys.readouterr().out
     (logs / "old.h5.journal").write_bytes(b"x")
     assert main([*asked, "--json"]) == 1
-    said = json.loads(capsys.readouterr().out)
-    assert said["ok"] is False
-    assert [check["name"] for check in said["checks"] if not check["ok"]] == ["journal"]
+    report = json.loads(capsys.readouterr().out)
+    assert report["ok"] is False
+    assert [check["name"] for check in report["checks"] if not check["ok"]] == ["journal"]
 
 
 def test_without_a_configuration_owners_and_limits_are_listed_and_not_judged(machine: Machine, logs: Path) -> None:
@@ -274,14 +274,14 @@ def test_without_a_configuration_owners_and_limits_are_listed_and_not_judged(mac
     bind(machine, "1-0068", "rtc-ds1307")
     checks = examine(None, URL, logs, 50, machine=machine, talk=lambda: [Check("chips", True, "2 answer")])
     assert wrong(checks) == []
-    said = {check.name: check.found for check in checks}
-    assert said["kernel driver"] == "/dev/i2c-1 0x68 belongs to rtc-ds1307: no sensor there can be read"
-    assert (said["bus clock"], said["disk"], said["chips"]) == ("400 kHz", "65536 MiB free", "2 answer")
+    results = {check.name: check.found for check in checks}
+    assert results["kernel driver"] == "/dev/i2c-1 0x68 belongs to rtc-ds1307: no sensor there can be read"
+    assert (results["bus clock"], results["disk"], results["chips"]) == ("400 kHz", "65536 MiB free", "2 answer")
     nearly_full = replace(machine, free_bytes=lambda folder: 60 << 20)
     assert only(examine(None, URL, logs, 50, machine=nearly_full))[:2] == ("disk", "60 MiB free")
     shutil.rmtree(machine.root / "sys/bus/i2c/devices/1-0068")
-    said = {check.name: check.found for check in examine(None, URL, logs, 50, machine=machine)}
-    assert said["kernel driver"] == "/dev/i2c-1: none has an address"
+    results = {check.name: check.found for check in examine(None, URL, logs, 50, machine=machine)}
+    assert results["kernel driver"] == "/dev/i2c-1: none has an address"
 
 
 def test_the_command_needs_a_bus_where_there_is_no_configuration(
@@ -289,11 +289,11 @@ def test_the_command_needs_a_bus_where_there_is_no_configuration(
 ) -> None:
     asked = ["detect", "--doctor", "--logs", str(logs)]
     assert main([*asked, "--bus", "emulated:", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["array"], said["ok"]) == (None, True)
+    report = json.loads(capsys.readouterr().out)
+    assert (report["array"], report["ok"]) == (None, True)
     chips = "1 pca9544a, 2 adxl345, 4 bma180, 3 l3g4200d, 1 bmp180, 2 hmc5883 or hmc5883l"
-    (found,) = (check["found"] for check in said["checks"] if check["name"] == "chips")
-    assert sorted(found.removeprefix("13 answer: ").split(", ")) == sorted(chips.split(", "))
+    (result,) = (check["found"] for check in report["checks"] if check["name"] == "chips")
+    assert sorted(result.removeprefix("13 answer: ").split(", ")) == sorted(chips.split(", "))
     assert main(asked) == 1
     assert "NO  bus            none is named -> give --bus i2c:/dev/i2c-1" in capsys.readouterr().out
     assert main([*asked, "--bus", "emulated:", "-o", "new.toml"]) == 2
@@ -316,9 +316,9 @@ def test_the_doctor_needs_a_named_bus(tmp_path: Path, logs: Path, capsys: pytest
     mine = tmp_path / "mine.toml"
     mine.write_text(ARRAY)
     assert main(["detect", str(mine), "--doctor", "--logs", str(logs)]) == 1
-    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO  bus")]
-    assert len(said) == 1
-    assert "none is named -> give --bus i2c:/dev/i2c-1" in said[0]
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO  bus")]
+    assert len(lines) == 1
+    assert "none is named -> give --bus i2c:/dev/i2c-1" in lines[0]
     assert main(["detect", str(mine)]) == 0
     assert capsys.readouterr().err == f"imuarray: {mine}: no bus is configured: using the emulated array, no hardware\n"
     assert main(["detect", str(mine), "--logs", str(logs)]) == 2
@@ -330,7 +330,7 @@ def test_the_command_names_a_silent_sensor(tmp_path: Path, logs: Path, capsys: p
     (tmp_path / "mine.toml").write_text(ARRAY.replace("0x53", "0x1D"))
     bus = f"emulated:?board={tmp_path / 'board.toml'}"
     assert main(["detect", str(tmp_path / "mine.toml"), "--bus", bus, "--doctor", "--logs", str(logs)]) == 1
-    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO ")]
-    assert len(said) == 1
-    assert "A (adxl345) at channel 0 address 0x1d" in said[0]
-    assert "address pin" in said[0]
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO ")]
+    assert len(lines) == 1
+    assert "A (adxl345) at channel 0 address 0x1d" in lines[0]
+    assert "address pin" in lines[0]

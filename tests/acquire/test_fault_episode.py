@@ -42,47 +42,47 @@ class Heard:
 
 
 def test_a_lasting_fault_is_reported_at_its_begin_and_its_end() -> None:
-    heard = Heard()
-    heard.episode.begin(0, "hangs")
+    recorder = Heard()
+    recorder.episode.begin(0, "hangs")
     for at_s in range(1, 300):
-        heard.episode.settle(at_s * SECOND)
-    assert heard.events == [(0, "hangs")]
-    heard.episode.end(300 * SECOND, "works again")
-    assert heard.events[1:] == [(300 * SECOND, "works again, after 300.0 s")]
+        recorder.episode.settle(at_s * SECOND)
+    assert recorder.events == [(0, "hangs")]
+    recorder.episode.end(300 * SECOND, "works again")
+    assert recorder.events[1:] == [(300 * SECOND, "works again, after 300.0 s")]
 
 
 def test_a_fault_that_lasts_until_the_log_ends_is_closed_once() -> None:
-    heard = Heard()
-    heard.episode.begin(5 * SECOND, "hangs")
-    heard.episode.close(65 * SECOND)
-    assert heard.events[1:] == [(65 * SECOND, "still present when the log ended, after 60.0 s")]
-    heard.episode.close(66 * SECOND)
-    assert len(heard.events) == 2
+    recorder = Heard()
+    recorder.episode.begin(5 * SECOND, "hangs")
+    recorder.episode.close(65 * SECOND)
+    assert recorder.events[1:] == [(65 * SECOND, "still present when the log ended, after 60.0 s")]
+    recorder.episode.close(66 * SECOND)
+    assert len(recorder.events) == 2
 
 
 def test_an_intermittent_fault_is_one_episode_of_increasing_length() -> None:
     """Every 5 s for an hour: its end is reported after 1, 2 and 4 s without it, and then not before 8 s without it."""
-    heard = Heard()
+    recorder = Heard()
     for at_s in range(0, 3600, 5):
-        heard.episode.settle(at_s * SECOND)
-        heard.episode.begin(at_s * SECOND, "hangs")
-        heard.episode.end(at_s * SECOND + SECOND // 2, "works again")
-    heard.episode.settle(3700 * SECOND)
-    assert [at_ns / SECOND for at_ns, _ in heard.events] == [0, 0.5, 5, 5.5, 10, 10.5, 15, 3595.5]
-    assert heard.events[-1][1] == "works again, in all 717 times in 3580.5 s"
+        recorder.episode.settle(at_s * SECOND)
+        recorder.episode.begin(at_s * SECOND, "hangs")
+        recorder.episode.end(at_s * SECOND + SECOND // 2, "works again")
+    recorder.episode.settle(3700 * SECOND)
+    assert [at_ns / SECOND for at_ns, _ in recorder.events] == [0, 0.5, 5, 5.5, 10, 10.5, 15, 3595.5]
+    assert recorder.events[-1][1] == "works again, in all 717 times in 3580.5 s"
 
 
 def test_a_fault_after_an_hour_without_it_is_a_new_episode() -> None:
-    heard = Heard()
+    recorder = Heard()
     for start_s in (0, 4000):
         for at_s in (start_s, start_s + 3):
-            heard.episode.settle(at_s * SECOND)
-            heard.episode.begin(at_s * SECOND, "hangs")
-            heard.episode.end(at_s * SECOND + 1, "works again")
-            told = len(heard.events)
-            heard.episode.settle(at_s * SECOND + 2)
-        assert told in (3, 7)  # the second time it waits for two seconds
-        heard.episode.settle((start_s + 6) * SECOND)
+            recorder.episode.settle(at_s * SECOND)
+            recorder.episode.begin(at_s * SECOND, "hangs")
+            recorder.episode.end(at_s * SECOND + 1, "works again")
+            count = len(recorder.events)
+            recorder.episode.settle(at_s * SECOND + 2)
+        assert count in (3, 7)  # the second time it waits for two seconds
+        recorder.episode.settle((start_s + 6) * SECOND)
 
 
 @given(
@@ -92,29 +92,29 @@ def test_a_fault_after_an_hour_without_it_is_a_new_episode() -> None:
 def test_events_of_any_sequence_are_few_and_their_counts_add_up(
     happenings: list[tuple[float, int, bool]], rest_s: float
 ) -> None:
-    heard, now_ns, total = Heard(), 0, 0
+    recorder, now_ns, total = Heard(), 0, 0
     for pause_s, count, lasts in happenings:
         now_ns += round(pause_s * SECOND)
-        heard.episode.settle(now_ns)
+        recorder.episode.settle(now_ns)
         if lasts:
-            heard.episode.begin(now_ns, "bad 1")
+            recorder.episode.begin(now_ns, "bad 1")
             now_ns += SECOND // 10
-            heard.episode.end(now_ns, "well")
+            recorder.episode.end(now_ns, "well")
             total += 1
         else:
-            heard.episode.happened(now_ns, f"bad {count}", count)
+            recorder.episode.happened(now_ns, f"bad {count}", count)
             total += count
-    heard.episode.close(now_ns + round(rest_s * SECOND))
-    times = [at_ns for at_ns, _ in heard.events]
+    recorder.episode.close(now_ns + round(rest_s * SECOND))
+    times = [at_ns for at_ns, _ in recorder.events]
     assert all(sum(start <= at_ns < start + HOUR for at_ns in times) <= MOST + 1 for start in times)
-    ends = [is_end(message) for _, message in heard.events]
+    ends = [is_end(message) for _, message in recorder.events]
     assert not any(before and after for before, after in pairwise(ends))
     # An episode's count is in its end, or, where it happened once, in its only event.
     counted = 0
-    for index, (_, message) in enumerate(heard.events):
+    for index, (_, message) in enumerate(recorder.events):
         if "in all" in message:
             counted += int(message.partition("in all ")[2].split()[0])
-        elif not is_end(message) and (index + 1 == len(ends) or "in all" not in heard.events[index + 1][1]):
+        elif not is_end(message) and (index + 1 == len(ends) or "in all" not in recorder.events[index + 1][1]):
             counted += int(message.split()[1])
     assert counted == total
 

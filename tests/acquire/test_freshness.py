@@ -120,9 +120,11 @@ def test_stalls_and_slow_clocks_are_not_reported_as_stale(rate_hz: float, error:
     assert {event.kind for event in log.events} <= {"late"}
 
 
-@pytest.mark.parametrize(("kind", "told"), some([("stale", "stale"), ("frozen", "frozen")], 3))
+@pytest.mark.parametrize(("kind", "event_kind"), some([("stale", "stale"), ("frozen", "frozen")], 3))
 @pytest.mark.parametrize(("sensor", "within_s"), [("B", 1.5), ("G", 1.5), ("M", 4.0)])
-def test_a_frozen_chip_is_reported_also_in_irregular_frames(kind: str, told: str, sensor: str, within_s: float) -> None:
+def test_a_frozen_chip_is_reported_also_in_irregular_frames(
+    kind: str, event_kind: str, sensor: str, within_s: float
+) -> None:
     """Within a sweep and a second, or as long as 24 readings take (30 of 0.1 s, which wait for each other)."""
     table = {"kind": kind, "sensor": sensor, "at_s": 10.0, "for_s": 30.0}
     log = night(irregular_array(), [table], 30, rate_hz=50.0 if sensor != "M" else 10.0).log

@@ -312,7 +312,7 @@ def connected(machine: KernelMachine, array: ArrayConfig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "keys", "said"),
+    ("changes", "keys", "message"),
     [
         ({}, BUFFERED.replace("kx023", "kx022"), r"iio:kx022: no such device; allowed are iio:kx023@1-001e"),
         ({}, BUFFERED.replace("rate_hz = 50", "rate_hz = 60"), r"rate_hz 60: allowed are 10, 50, 100, 200"),
@@ -336,10 +336,10 @@ def connected(machine: KernelMachine, array: ArrayConfig) -> None:
     ],
 )
 def test_a_configuration_that_the_device_cannot_meet_is_refused(
-    machine: KernelMachine, changes: Any, keys: str, said: str
+    machine: KernelMachine, changes: Any, keys: str, message: str
 ) -> None:
     machine.add("kx023", "i2c-1/1-001e", {**ACCEL, **changes})
-    with pytest.raises(SensorError, match=said) as raised:
+    with pytest.raises(SensorError, match=message) as raised:
         connected(machine, array_of(sensor("A", keys)))
     text = str(raised.value)
     assert text.startswith(("A (kx02", "iio:"))
@@ -410,7 +410,7 @@ def test_two_devices_of_one_name_are_distinguished_by_their_place(machine: Kerne
 
 
 @pytest.mark.parametrize(
-    ("number", "said"),
+    ("number", "message"),
     [
         (
             errno.EBUSY,
@@ -420,7 +420,7 @@ def test_two_devices_of_one_name_are_distinguished_by_their_place(machine: Kerne
     ],
 )
 def test_a_buffer_that_cannot_be_opened_is_named(
-    machine: KernelMachine, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+    machine: KernelMachine, monkeypatch: pytest.MonkeyPatch, number: int, message: str
 ) -> None:
     machine.add("kx023", "i2c-1/1-001e", ACCEL)
     opened = os.open
@@ -431,7 +431,7 @@ def test_a_buffer_that_cannot_be_opened_is_named(
         return opened(path, *words, **more)
 
     monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(SensorError, match=said):
+    with pytest.raises(SensorError, match=message):
         connected(machine, array_of(sensor("A", BUFFERED)))
 
 
@@ -450,7 +450,7 @@ def test_a_tree_without_sysfs_or_devices_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "message"),
     [
         (ACC + "address = 0x1e\n", "address: the kernel's driver has it"),
         (ACC.replace("rate_hz = 50", ""), "rate_hz is missing"),
@@ -469,10 +469,10 @@ def test_a_tree_without_sysfs_or_devices_is_refused(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_invalid_configurations_are_refused(keys: str, said: str) -> None:
+def test_invalid_configurations_are_refused(keys: str, message: str) -> None:
     with pytest.raises(ConfigError) as raised:
         array_of(sensor("A", keys))
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_sensors_of_one_device_must_have_the_same_rate() -> None:

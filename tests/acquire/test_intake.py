@@ -73,12 +73,14 @@ class Waiting:
 
 def test_a_row_ahead_of_the_clock_does_not_block_later_rows() -> None:
     stored: list[tuple[int, int]] = []
-    told: list[Event] = []
+    events: list[Event] = []
     log: Any = SimpleNamespace(
         append=lambda name, block: stored.extend(zip(block.time.tolist(), block.status.tolist(), strict=True))
     )
     lost = {"A": 0}
-    faults = FaultEpisodes(lambda sensor, at_ns, kind, message: told.append(Event(at_ns - 100, sensor, kind, message)))
+    faults = FaultEpisodes(
+        lambda sensor, at_ns, kind, message: events.append(Event(at_ns - 100, sensor, kind, message))
+    )
     intake = Intake(log, 100, lambda name, block: None, faults, lost)
     waiting: Any = Waiting([110, 120, 120 + 4277 * S, 130], [125], [140, 150])
     assert AHEAD_NS == S  # the largest error of a fitted clock, and far less than an invented time
@@ -86,8 +88,8 @@ def test_a_row_ahead_of_the_clock_does_not_block_later_rows() -> None:
         intake.write(waiting, 1, now_ns)
     assert stored == [(10, 0), (20, 0), (30, LOST), (40, LOST), (50, 0)]
     assert lost == {"A": 2}
-    assert [(event.time_ns, event.sensor, event.kind) for event in told] == [(40, "A", "refused")]
-    assert told[0].message == "1 reading refused: not later than the reading before, or ahead of the clock"
+    assert [(event.time_ns, event.sensor, event.kind) for event in events] == [(40, "A", "refused")]
+    assert events[0].message == "1 reading refused: not later than the reading before, or ahead of the clock"
 
 
 @pytest.mark.parametrize("rotate_s", some([None, 3.0], 1))

@@ -93,12 +93,12 @@ def test_live_fusion_equals_fusing_the_log(log: Log, tmp_path: Path, technique: 
     if warm:
         thermal_calibration(tmp_path / "cal.toml")
     code, out, _ = log("--fuse", "--technique", technique, "--json", *more, seconds="12" if warm else "3")
-    said = json.loads(out)["fusion"]
-    assert (code, said["fused"], said["skipped"], said["failure"]) == (0, "run_fused.h5", 0, "")
+    report = json.loads(out)["fusion"]
+    assert (code, report["fused"], report["skipped"], report["failure"]) == (0, "run_fused.h5", 0, "")
     assert main(["fuse", "run.h5", "--causal", "--technique", technique, "-o", "again.h5", *more]) == 0
     live, after = columns("run_fused.h5"), columns("again.h5")
     assert live.keys() == after.keys()
-    assert said["frames"] == len(live["time"]) == json.loads(out)["frames"]
+    assert report["frames"] == len(live["time"]) == json.loads(out)["frames"]
     for name, column in live.items():
         if column.dtype.kind in "OS":  # names of axes and entries
             assert column.tolist() == after[name].tolist()
@@ -130,7 +130,7 @@ def test_live_fusion_with_fault_detection_equals_fusing_the_log(log: Log, tmp_pa
     more = ["--technique", "optimal", "--calibration", "cal.toml", "--json"]
     code, out, err = log("--fuse", "--force", *more, bus="emulated:?faults=faults.toml", seconds="7")
     assert code == 0
-    said = json.loads(out[out.index("{") :])["fusion"]
+    report = json.loads(out[out.index("{") :])["fusion"]
     assert main(["fuse", "run.h5", "--causal", *more, "-o", "again.h5"]) == 0
     live, after = columns("run_fused.h5"), columns("again.h5")
     assert live.keys() == after.keys()
@@ -143,11 +143,11 @@ def test_live_fusion_with_fault_detection_equals_fusing_the_log(log: Log, tmp_pa
     events = read_fused_events("run_fused.h5")
     assert events == read_fused_events("again.h5")
     assert ("Gyro2", "silent") in {(event.sensor, event.state) for event in events}  # the recording flags it
-    assert [event.message for event in events] == [fault["sentence"] for fault in said["faults"]]
+    assert [event.message for event in events] == [fault["sentence"] for fault in report["faults"]]
     assert all(err.count(f"imuarray: {event.message}\n") == 1 for event in events)
-    biases = said["learned"]["biases"]
+    biases = report["learned"]["biases"]
     assert [each["axis"] for each in biases["angular_rate"][:4]] == ["Gyro1 x", "Gyro1 y", "Gyro1 z", "Gyro2 x"]
-    assert all(0 < each["sd"] < each["sd_before"] for found in biases.values() for each in found)
+    assert all(0 < each["sd"] < each["sd_before"] for result in biases.values() for each in result)
 
 
 @pytest.mark.slow
@@ -242,7 +242,7 @@ def rows(start: int, count: int = 100) -> Block:
 
 def test_rows_that_overfill_the_queue_are_skipped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread stops at the first of twenty blocks, the queue has room for seven: six seconds are lost."""
-    said: list[str] = []
+    messages: list[str] = []
     standing, going = threading.Event(), threading.Event()
     push = FusionStream.push
 
@@ -253,13 +253,13 @@ def test_rows_that_overfill_the_queue_are_skipped_and_counted(tmp_path: Path, mo
 
     monkeypatch.setattr(FusionStream, "push", waiting)
     output = FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5")
-    fusion = LiveFusion(output, Calibration(), LiveFusionOptions(100, queue_blocks=7), said.append)
+    fusion = LiveFusion(output, Calibration(), LiveFusionOptions(100, queue_blocks=7), messages.append)
     fusion.begin(EPOCH, HEADERS)
-    came = [(header.name, rows(100 * second)) for second in range(10) for header in HEADERS]
-    fusion.observe(*came[0])
+    batches = [(header.name, rows(100 * second)) for second in range(10) for header in HEADERS]
+    fusion.observe(*batches[0])
     assert standing.wait(10)
     begun = time.monotonic()
-    for sensor, block in came[1:]:
+    for sensor, block in batches[1:]:
         fusion.observe(sensor, block)
     assert time.monotonic() - begun < 5
     going.set()
@@ -270,8 +270,8 @@ def test_rows_that_overfill_the_queue_are_skipped_and_counted(tmp_path: Path, mo
         fusion.observe(header.name, rows(1000))
     fusion.close()
     assert fusion.skipped == 600
-    assert said[0] == "fusion can't keep up: its file lacks frames; the log contains them"
-    assert said[-1] == f"{tmp_path / 'f.h5'}: {fusion.skipped} frames skipped: fusion could not keep up"
+    assert messages[0] == "fusion can't keep up: its file lacks frames; the log contains them"
+    assert messages[-1] == f"{tmp_path / 'f.h5'}: {fusion.skipped} frames skipped: fusion could not keep up"
     time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "f.h5")])
     assert len(time_ns) == fusion.frames == 1100 - fusion.skipped
     assert time_ns[-1] == 10_990_000_000
@@ -284,19 +284,19 @@ def noisy(start: int, rng: np.random.Generator, count: int = 100, *, stuck: bool
 
 def test_a_failed_sensor_is_reported_once_and_is_an_event_of_the_file(tmp_path: Path) -> None:
     """One of four is stuck from 3 s on: left out in the window in which it is found, for as long as it lasts."""
-    said: list[str] = []
+    messages: list[str] = []
     headers = [SensorHeader(f"A{i}", "bma180", "specific_force", "g", 16.0, 512.0) for i in range(4)]
     paths = tmp_path / "f.h5", tmp_path / "r.h5"
-    fusion = LiveFusion(FusionOutput(*paths), Calibration(), LiveFusionOptions(100, watch=True), said.append)
+    fusion = LiveFusion(FusionOutput(*paths), Calibration(), LiveFusionOptions(100, watch=True), messages.append)
     fusion.begin(EPOCH, headers)
     rng = np.random.default_rng(1)
     for second in range(6):
         for header in headers:
             fusion.observe(header.name, noisy(100 * second, rng, stuck=header.name == "A2" and second >= 3))
     fusion.close()
-    (sentence,) = said
+    (sentence,) = messages
     assert sentence.endswith("A2 is stuck (10 sigma): excluded")
-    assert [fault["sentence"] for fault in fusion.report()["faults"]] == said  # type: ignore[attr-defined]
+    assert [fault["sentence"] for fault in fusion.report()["faults"]] == messages  # type: ignore[attr-defined]
     (event,) = read_fused_events(paths[0])
     assert (event.sensor, event.kind, event.state, event.message) == ("A2", "stuck", "isolated", sentence)
     assert 3.0 <= event.time_ns * 1e-9 <= 3.2
@@ -392,8 +392,8 @@ def test_an_interrupt_ends_the_log_and_its_fusion_cleanly(tmp_path: Path) -> Non
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
-    said = json.loads(out)
-    assert said["fusion"]["failure"] == ""
+    report = json.loads(out)
+    assert report["fusion"]["failure"] == ""
     time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "run_fused.h5")])
     with open_log(tmp_path / "run.h5") as run:
         assert run.state == "finished"

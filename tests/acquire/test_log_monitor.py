@@ -92,27 +92,27 @@ def test_without_the_extra_nothing_is_recorded(log: Call, monkeypatch: pytest.Mo
 
 
 def test_lines_of_the_page_are_reported(tmp_path: Path) -> None:
-    heard: list[str] = []
+    lines: list[str] = []
     log_display._report_lines(
-        ["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve the page there\n"], heard.append
+        ["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve the page there\n"], lines.append
     )
-    assert heard == ["watch it at http://127.0.0.1:8765/", "no page: 127.0.0.1:8765: can't serve the page there"]
+    assert lines == ["watch it at http://127.0.0.1:8765/", "no page: 127.0.0.1:8765: can't serve the page there"]
 
 
 def snapshot(address: str) -> dict[str, Any]:
     with urllib.request.urlopen(f"{address}snapshot.json", timeout=20) as answer:  # noqa: S310
-        found: dict[str, Any] = json.load(answer)
-    return found
+        result: dict[str, Any] = json.load(answer)
+    return result
 
 
 def seen(address: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     """The first snapshot for which the condition is true."""
     end_s = time.monotonic() + 40
     while time.monotonic() < end_s:
-        if wanted(found := snapshot(address)):
-            return found
+        if wanted(result := snapshot(address)):
+            return result
         time.sleep(0.2)
-    raise AssertionError(f"never seen; the last one was {found}")
+    raise AssertionError(f"never seen; the last one was {result}")
 
 
 @pytest.mark.slow
@@ -126,10 +126,10 @@ def test_a_page_follows_a_recording_in_real_time(tmp_path: Path) -> None:
     )
     try:
         assert process.stderr is not None
-        told = ""
-        while not (found := re.search(r"imuarray: watch it at (http://127\.0\.0\.1:\d+/)\n", told)):
-            told += process.stderr.readline()
-        address = found[1]
+        text = ""
+        while not (result := re.search(r"imuarray: watch it at (http://127\.0\.0\.1:\d+/)\n", text)):
+            text += process.stderr.readline()
+        address = result[1]
         now = seen(address, lambda now: now["fused"] is not None and now["fused"]["technique"] == "opposed")
         assert now["frame_rate_hz"] == 50.0
         assert len(now["sensors"]) == 12

@@ -61,9 +61,9 @@ def folder(tmp_path_factory: Any) -> Path:
 
 def test_every_chip_is_detected_and_passes_its_self_test(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["detect", str(folder / "mixed.toml"), "--bus", "emulated:", "--self-test"]) == 0
-    said = capsys.readouterr().out
-    assert "14 of 14 as configured, 0 not" in said
-    assert said.count("self-test passed") == 13
+    output = capsys.readouterr().out
+    assert "14 of 14 as configured, 0 not" in output
+    assert output.count("self-test passed") == 13
 
 
 def test_every_sensor_is_logged_without_a_fault(folder: Path) -> None:
@@ -143,8 +143,8 @@ def test_a_mixed_array_is_characterised_and_reported(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["characterise", str(folder / "still.h5"), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert {"LIS1", "MMC1", "AK1"} <= set(json.dumps(said).replace('"', " ").split())
+    report = json.loads(capsys.readouterr().out)
+    assert {"LIS1", "MMC1", "AK1"} <= set(json.dumps(report).replace('"', " ").split())
     page = tmp_path / "report.html"
     assert main(["report", str(folder / "still.h5"), "-o", str(page)]) == 0
     text = page.read_text()

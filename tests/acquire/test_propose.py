@@ -29,8 +29,8 @@ def test_the_proposal_for_the_papers_array_matches_its_wiring() -> None:
 
 
 def test_a_bus_without_a_multiplexer_is_proposed_without_one() -> None:
-    found = [Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53)]
-    array = parse_array(propose(found, "i2c:/dev/i2c-1"))
+    detections = [Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53)]
+    array = parse_array(propose(detections, "i2c:/dev/i2c-1"))
     assert array.mux is None
     assert [(sensor.name, sensor.channel, sensor.address) for sensor in array.sensors] == [("ADXL1", None, 0x53)]
 
@@ -44,18 +44,18 @@ def test_a_bus_without_a_multiplexer_is_proposed_without_one() -> None:
     ],
 )
 def test_a_barometer_is_numbered_where_there_are_two_of_its_type(chips: dict[int, str], names: list[str]) -> None:
-    found = [
+    detections = [
         Detection(f"trunk address {address:#04x}", "", "", chip, True, "", None, address)
         for address, chip in chips.items()
     ]
-    assert [sensor.name for sensor in parse_array(propose(found, "i2c:/dev/i2c-1")).sensors] == names
+    assert [sensor.name for sensor in parse_array(propose(detections, "i2c:/dev/i2c-1")).sensors] == names
 
 
 def test_an_unknown_chip_is_not_taken_for_a_multiplexer() -> None:
     """A BME280 at 0x76, which is an address of the multiplexer too, and an ADXL345."""
     bus = Chips({0x76: {0x00: 0x00, 0x05: 0x00, 0xD0: 0x60}, 0x53: {0x00: 0xE5}})
-    found = explore(bus)
-    assert [(line.found, line.channel, line.address) for line in found] == [("adxl345", None, 0x53)]
+    detections = explore(bus)
+    assert [(line.found, line.channel, line.address) for line in detections] == [("adxl345", None, 0x53)]
 
 
 class Chips:
@@ -81,8 +81,8 @@ class Chips:
 
 @pytest.mark.parametrize(("bus", "name"), [('i2c:/dev/"x"', 'a"b\\c'), ("x\ny = 1", "a\nb"), ("serial:/µ", "Größe 🎈")])
 def test_names_are_quoted(bus: str, name: str) -> None:
-    found = [Detection("trunk address 0x77", "", "", "bmp180", True, "", None, 0x77)]
-    array = parse_array(propose(found, bus, name))
+    detections = [Detection("trunk address 0x77", "", "", "bmp180", True, "", None, 0x77)]
+    array = parse_array(propose(detections, bus, name))
     assert (array.bus, array.name) == (bus, name)
 
 
@@ -116,8 +116,8 @@ def test_both_kinds_of_compass_on_one_board_have_names_of_their_own(tmp_path: Pa
         text += f"[[sensor]]\n{sensor}address=0x1E\nchannel={channel}\n"
     board = parse_array(text)
     with open_bus("emulated:", board) as bus:
-        found = distinguish_alike(explore(bus), bus)
-    proposed = parse_array(propose(found, "i2c:/dev/i2c-1"))
+        detections = distinguish_alike(explore(bus), bus)
+    proposed = parse_array(propose(detections, "i2c:/dev/i2c-1"))
     assert [(sensor.name, sensor.chip, sensor.channel) for sensor in proposed.sensors] == [
         ("HMC1", "hmc5883", 0),
         ("HMC2", "hmc5883l", 1),
@@ -128,18 +128,18 @@ def test_both_kinds_of_compass_on_one_board_have_names_of_their_own(tmp_path: Pa
 def test_types_that_no_self_test_distinguishes_are_a_remark(tmp_path: Path) -> None:
     """A compass without a self-test result is proposed as the more common type, with a remark."""
     bus = Chips({0x1E: {0x0A: 0x48, 0x0B: 0x34, 0x0C: 0x33}})
-    found = distinguish_alike(explore(bus), bus)  # type: ignore[arg-type]
-    text = propose(found, "i2c:/dev/i2c-1")
+    detections = distinguish_alike(explore(bus), bus)  # type: ignore[arg-type]
+    text = propose(detections, "i2c:/dev/i2c-1")
     assert 'chip = "hmc5883l"  # or hmc5883, with range = 1.2: they identify themselves alike' in text
     assert parse_array(text).sensors[0].chip == "hmc5883l"
 
 
 def test_an_address_of_a_kernel_driver_is_not_proposed_as_a_sensor() -> None:
-    found = [
+    detections = [
         Detection("trunk address 0x68", "", "", "belongs to a driver", True, "", None, 0x68, owner="a driver"),
         Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53),
     ]
-    assert [sensor.chip for sensor in parse_array(propose(found, "i2c:/dev/i2c-1")).sensors] == ["adxl345"]
+    assert [sensor.chip for sensor in parse_array(propose(detections, "i2c:/dev/i2c-1")).sensors] == ["adxl345"]
 
 
 @pytest.mark.slow

@@ -299,17 +299,17 @@ def test_a_start_is_judged_by_at_least_ten_readings(
 ) -> None:
     """The readings of the first ten seconds; two readings are as far from the mean as another state is."""
     array = an_array(A=0, G=0)
-    heard: list[int] = []
+    numbers: list[int] = []
 
     def judge(readings: Mapping[str, Any]) -> dict[str, StateVerdict]:
-        heard.extend(len(counts) for counts in readings.values())
+        numbers.extend(len(counts) for counts in readings.values())
         return {name: StateVerdict(True, "came up wrong") for name in readings}
 
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=30, judge=judge)
     with open_log(tmp_path / "r.h5") as log:
-        told = {event.message for event in log.events if event.kind == "start_up"}
+        messages = {event.message for event in log.events if event.kind == "start_up"}
         suspect = bool((np.asarray(log["G"].status[:]) & 32).any())
-    assert suspect is bool(heard) is judged
-    assert all(count >= 10 for count in heard)
-    assert judged or all(message.endswith(" readings of at least 10") for message in told)
+    assert suspect is bool(numbers) is judged
+    assert all(count >= 10 for count in numbers)
+    assert judged or all(message.endswith(" readings of at least 10") for message in messages)

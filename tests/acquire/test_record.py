@@ -362,9 +362,9 @@ def test_a_stop_before_the_first_frame_gives_an_empty_log(
 def test_progress_is_reported_every_second(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
-    array, told = an_array(A=0), list[int]()
-    record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, seconds=3, progress=told.append)
-    assert told == [800, 1600, 2400, 2400]
+    array, frames = an_array(A=0), list[int]()
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, seconds=3, progress=frames.append)
+    assert frames == [800, 1600, 2400, 2400]
 
 
 def test_the_epoch_is_the_wall_time_of_the_start(
@@ -389,11 +389,11 @@ def test_the_log_describes_its_sensors(
     record(array, tapped(array), tmp_path / "r.h5", rate_hz=50, seconds=1)
     with open_log(tmp_path / "r.h5") as log:
         assert log.config == array.text
-        said = {
+        headers = {
             name: (sensor.chip, sensor.quantity, sensor.unit, sensor.range, sensor.rate_hz, sensor.bandwidth_hz)
             for name, sensor in log.sensors.items()
         }
-        assert said == {
+        assert headers == {
             "A": ("adxl345", "specific_force", "g", 4, 800, 0),
             "B": ("bma180", "specific_force", "g", 2, 2400, 150),
             "G": ("l3g4200d", "angular_rate", "dps", 250, 800, 110),

@@ -86,10 +86,10 @@ def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(bad_night: Cal
         assert done.lost["P"] == (gaps - 1).sum()
         assert abs(done.lost["P"] - 8 * for_s) <= 26  # it is looked for every 3.2 s at the latest
         np.testing.assert_array_equal(np.flatnonzero(status & LOST_BEFORE), np.flatnonzero(gaps > 1) + 1)
-        told = [event.message for event in log.events if event.kind == "lost"]
-        assert told[0].startswith("no reading")
+        messages = [event.message for event in log.events if event.kind == "lost"]
+        assert messages[0].startswith("no reading")
         if for_s > 2:
-            (count,) = [int(message.split()[2]) for message in told[1:]]
+            (count,) = [int(message.split()[2]) for message in messages[1:]]
             assert count == pytest.approx(done.lost["P"], abs=2)  # its way back takes one or two more
 
 
@@ -220,19 +220,19 @@ def test_a_sensor_that_repeatedly_starts_in_another_state_stays_suspect(bad_nigh
 
 
 def test_episodes_are_reported_at_their_begin_and_after_they_lasted() -> None:
-    told = list[Any]()
-    episode = FaultEpisode("lost", "readings lost", lambda *event: told.append(event))
+    events = list[Any]()
+    episode = FaultEpisode("lost", "readings lost", lambda *event: events.append(event))
     for at_ms in range(0, 500, 20):
         episode.happened(at_ms * MS, "gone")
     episode.settle(1000 * MS)
-    assert told == [(0, "lost", "gone")]
+    assert events == [(0, "lost", "gone")]
     episode.happened(1400 * MS, "gone")  # less than a second later: the same episode
     episode.settle(2401 * MS)
     episode.settle(9000 * MS)
-    assert told[1:] == [(1400 * MS, "lost", "in all 26 readings lost in 1.4 s")]
+    assert events[1:] == [(1400 * MS, "lost", "in all 26 readings lost in 1.4 s")]
     episode.happened(9500 * MS, "gone")
     episode.close(9600 * MS)
-    assert told[2:] == [(9500 * MS, "lost", "gone")]
+    assert events[2:] == [(9500 * MS, "lost", "gone")]
 
 
 def test_the_command_logs_an_array_with_faults(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -243,9 +243,9 @@ def test_the_command_logs_an_array_with_faults(tmp_path: Path, capsys: pytest.Ca
     run = str(tmp_path / "r.h5")
     url = f"emulated:?faults={tmp_path / 'night.toml'}"
     assert main(["log", str(tmp_path / "a.toml"), "--bus", url, "--seconds", "5", "-o", run, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["missed"] == told["uncertain"] == 0
-    assert 1 <= told["lost"]["A"] <= 20
+    report = json.loads(capsys.readouterr().out)
+    assert report["missed"] == report["uncertain"] == 0
+    assert 1 <= report["lost"]["A"] <= 20
     assert main(["info", run, "--json"]) == 0
     info = json.loads(capsys.readouterr().out)
     assert [(event["sensor"], event["kind"]) for event in info["events"]] == [

@@ -33,20 +33,20 @@ class Manager:
 
     def heard(self) -> list[str]:
         """One string a datagram."""
-        found = []
+        messages = []
         while True:
             try:
-                found.append(self.socket.recv(4096).decode())
+                messages.append(self.socket.recv(4096).decode())
             except BlockingIOError:
-                return found
+                return messages
 
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
     address = str(tmp_path / "notify") if request.param == "path" else f"@imuarray-test-{os.getpid()}"
-    found = Manager(address)
-    yield found
-    found.socket.close()
+    result = Manager(address)
+    yield result
+    result.socket.close()
 
 
 class Time:
@@ -61,24 +61,24 @@ def service(manager: Manager, time: Time, **more: str) -> Service:
 
 
 def test_the_first_stored_rows_report_ready(manager: Manager) -> None:
-    told = service(manager, Time())
-    told.stored(0)
+    notifier = service(manager, Time())
+    notifier.stored(0)
     assert manager.heard() == []
-    told.stored(13)
-    told.stored(26)
+    notifier.stored(13)
+    notifier.stored(26)
     assert manager.heard() == ["READY=1\nSTATUS=recording, 13 rows stored"]
-    told.stopping()
+    notifier.stopping()
     assert manager.heard() == ["STOPPING=1\nSTATUS=finishing the log"]
 
 
 def test_only_stored_rows_reset_the_watchdog(manager: Manager) -> None:
     time = Time()
-    told = service(manager, time, WATCHDOG_USEC="30000000", WATCHDOG_PID="77")
+    notifier = service(manager, time, WATCHDOG_USEC="30000000", WATCHDOG_PID="77")
     rows, fed = 0, []
     for second in range(100):
         time.now_ns = second * 1_000_000_000
         rows += 500 if second < 40 or second > 90 else 0  # for 50 s nothing is stored
-        told.stored(rows)
+        notifier.stored(rows)
         fed += [second] * any("WATCHDOG=1" in words for words in manager.heard())
     assert fed == [0, 15, 30, 91]  # half of the allowed 30 s apart, and not while nothing was stored
 
@@ -94,10 +94,10 @@ def test_without_a_watchdog_none_is_reset(manager: Manager, more: dict[str, str]
 
 def test_the_status_is_sent_every_ten_seconds(manager: Manager) -> None:
     time = Time()
-    told = service(manager, time)
+    notifier = service(manager, time)
     for second in range(25):
         time.now_ns = second * 1_000_000_000
-        told.stored(second + 1)
+        notifier.stored(second + 1)
     assert [words.splitlines()[-1] for words in manager.heard()] == [
         f"STATUS=recording, {rows} rows stored" for rows in (1, 11, 21)
     ]
@@ -105,18 +105,18 @@ def test_the_status_is_sent_every_ten_seconds(manager: Manager) -> None:
 
 @pytest.mark.parametrize("address", ["", "/no/such/socket", "@nobody-is-there", "vsock:2:9999", "notify", "@"])
 def test_a_missing_or_invalid_socket_is_ignored(address: str) -> None:
-    told = Service({"NOTIFY_SOCKET": address})
-    told.stored(5)
-    told.stopping()
+    notifier = Service({"NOTIFY_SOCKET": address})
+    notifier.stored(5)
+    notifier.stopping()
     Service({}).stored(5)
 
 
 def test_a_manager_that_does_not_read_does_not_block(manager: Manager) -> None:
     time = Time()
-    told = service(manager, time, WATCHDOG_USEC="2")
+    notifier = service(manager, time, WATCHDOG_USEC="2")
     for rows in range(1, 2000):  # its queue is full long before
         time.now_ns += 1_000_000
-        told.stored(rows)
+        notifier.stored(rows)
 
 
 def test_a_status_is_one_line(manager: Manager) -> None:
@@ -139,10 +139,10 @@ WANTED = {
 
 def test_the_unit_has_the_expected_settings() -> None:
     lines = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if "=" in line and line[0] not in "#;"]
-    said = dict(line.split("=", 1) for line in lines)
-    assert {name: said.get(name) for name in WANTED} == WANTED
+    settings = dict(line.split("=", 1) for line in lines)
+    assert {name: settings.get(name) for name in WANTED} == WANTED
     assert "char-i2c rw" in [line.split("=", 1)[1] for line in lines if line.startswith("DeviceAllow=")]
-    assert int(said["WatchdogSec"].removesuffix("s")) >= 20
+    assert int(settings["WatchdogSec"].removesuffix("s")) >= 20
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
@@ -174,11 +174,11 @@ def test_the_unit_recovers_logs_with_a_journal(tmp_path: Path) -> None:
     logs.mkdir()
     line = line.replace("%%", "%").replace("%i", "bench").replace("$$", "$")
     line = line.replace("/opt/imuarray/bin/imuarray", str(program))
-    told = {"STATE_DIRECTORY": str(logs), "PATH": os.environ["PATH"]}
+    environment = {"STATE_DIRECTORY": str(logs), "PATH": os.environ["PATH"]}
     command = shlex.split(line.removeprefix("ExecStartPre=-"))
 
     def said() -> list[str]:
-        done = subprocess.run(command, capture_output=True, text=True, env=told, timeout=20)
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=20)
         assert done.stderr == ""
         return done.stdout.splitlines()
 
@@ -201,8 +201,8 @@ def test_the_program_accepts_the_command_of_the_unit(tmp_path: Path) -> None:
     line = line.replace("%%", "%").replace("%i", "bench").replace("$$", "$")
     line = line.replace("/opt/imuarray/bin/imuarray", str(program))
     shell, option, script = shlex.split(line.removeprefix("ExecStart="))
-    told = {"RATE_HZ": "50", "ROTATE": "1h", "STATE_DIRECTORY": "/var/lib/imuarray", "PATH": os.environ["PATH"]}
-    done = subprocess.run([shell, option, script], capture_output=True, text=True, env=told, timeout=20)
+    environment = {"RATE_HZ": "50", "ROTATE": "1h", "STATE_DIRECTORY": "/var/lib/imuarray", "PATH": os.environ["PATH"]}
+    done = subprocess.run([shell, option, script], capture_output=True, text=True, env=environment, timeout=20)
     *words, output = done.stdout.splitlines()
     assert words == ["log", "/etc/imuarray/bench.toml", "--rate-hz", "50", "--rotate", "1h", "-o"]
     assert re.fullmatch(r"/var/lib/imuarray/bench-\d{8}T\d{6}Z\.h5", output)

@@ -79,7 +79,7 @@ def test_the_proposal_matches_the_array(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "identity", "said"),
+    ("name", "identity", "message"),
     [
         ("icm42688x8", 0x42, "identity 42, an ICM-42605, expected 47"),  # TDK-03: the kernel's
         ("icm42688x8", 0x68, "identity 68, an MPU-6050, expected 47"),  # INV-02: the same register
@@ -89,10 +89,10 @@ def test_the_proposal_matches_the_array(name: str) -> None:
         ("icm42688x8", 0x00, "identity 00, which is a line that no chip drives, expected 47"),
     ],
 )
-def test_another_chip_is_named_by_its_type(name: str, identity: int, said: str) -> None:
+def test_another_chip_is_named_by_its_type(name: str, identity: int, message: str) -> None:
     array = load_array(CONFIGS / f"{name}.toml")
     switches = {array.sensors[2].name: {"identity": identity}}
-    with open_array(array, switches=switches) as bus, pytest.raises(SensorError, match=said) as refused:
+    with open_array(array, switches=switches) as bus, pytest.raises(SensorError, match=message) as refused:
         connect(array, bus)
     assert "\n" not in str(refused.value)
 

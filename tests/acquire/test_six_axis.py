@@ -38,7 +38,7 @@ def test_the_range_selects_the_half_of_a_chip() -> None:
 
 
 @pytest.mark.parametrize(
-    ("second", "said"),
+    ("second", "message"),
     [
         (half("G", range=500.0, rate_hz=250.0), "'A' and 'G' are one mpu6050: rate_hz is the same for both"),
         (half("G", range=500.0, axes="-X-Y+Z"), "'A' and 'G' are one mpu6050: axes is the same for both"),
@@ -47,8 +47,8 @@ def test_the_range_selects_the_half_of_a_chip() -> None:
         (half("G", range=3.0), "range 3: allowed are 2, 4, 8, 16, 250, 500, 1000, 2000"),
     ],
 )
-def test_halves_that_cannot_be_one_chip_are_refused(second: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_halves_that_cannot_be_one_chip_are_refused(second: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         parse_array(HEAD + half("A", range=4.0) + second)
 
 
@@ -58,7 +58,7 @@ def test_a_third_sensor_at_the_address_of_a_chip_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("identity", "said"),
+    ("identity", "message"),
     [
         (0x98, "identity 98, a clone sold as MPU-6050"),  # users' reports; the kernel's ICM-20689
         (0x70, "identity 70, an MPU-6500, expected 68"),  # the kernel's whoami values
@@ -66,10 +66,10 @@ def test_a_third_sensor_at_the_address_of_a_chip_is_refused() -> None:
         (0x00, "identity 00, expected 68"),
     ],
 )
-def test_another_chip_is_named_by_its_type(identity: int, said: str) -> None:
+def test_another_chip_is_named_by_its_type(identity: int, message: str) -> None:
     array = load_array(SHIPPED)
     with open_array(array, switches={"IMU3_acc": {"identity": identity}}) as bus:
-        with pytest.raises(SensorError, match=said) as refused:
+        with pytest.raises(SensorError, match=message) as refused:
             connect(array, bus)
         assert "\n" not in str(refused.value)
         lines = [line for line in detect(array, bus) if not line.ok]

@@ -167,9 +167,9 @@ def test_a_chip_that_lost_its_settings_is_flagged_and_set_up_again(
     assert suspect[-1] == again - 1
     np.testing.assert_array_equal(suspect, np.arange(suspect[0], again))
     assert not (status[again:] & SUSPECT).any()
-    told = [(kind, text) for sensor, kind, text in events(tmp_path / "r.h5") if sensor == "BMA3"]
-    assert told[0][0] == "configuration"
-    assert ("reconfigured", "set up again") in told
+    reports = [(kind, text) for sensor, kind, text in events(tmp_path / "r.h5") if sensor == "BMA3"]
+    assert reports[0][0] == "configuration"
+    assert ("reconfigured", "set up again") in reports
     other, _, other_status = logged(tmp_path / "r.h5", "ADXL1")
     assert not (other_status & SUSPECT).any()
     assert np.diff(other).max() < 0.3 * S  # while the other was set up
@@ -410,18 +410,18 @@ class TestPlan:
 
     @pytest.mark.parametrize("rate_hz", [1.0, 48.0, 100.0, 200.0, 400.0])
     def test_the_plan_fits_into_the_papers_microcontroller(self, rate_hz: float) -> None:
-        found, bus, _ = self.the(rate_hz)
-        bus.start(found.lists, round(1e6 / rate_hz))
+        result, bus, _ = self.the(rate_hz)
+        bus.start(result.lists, round(1e6 / rate_hz))
 
     def test_one_list_holds_all_requests_of_every_frame(self) -> None:
-        found, _, _ = self.the(50.0)
-        assert [len(found.lists[0].requests), found.lists[0].every] == [9 + 2, 1]
+        result, _, _ = self.the(50.0)
+        assert [len(result.lists[0].requests), result.lists[0].every] == [9 + 2, 1]
         # list number, ages, 4 BMA180 of 7 bytes, 2 ADXL345 and 3 L3G4200D of 8
-        assert found.lists[0].size == 1 + 2 * 11 + 4 * 7 + 5 * 8
+        assert result.lists[0].size == 1 + 2 * 11 + 4 * 7 + 5 * 8
 
     def test_every_register_is_read_twice_within_a_second(self) -> None:
-        found, _, _ = self.the(48.0)
-        places = [watched.place for watched in found.watched]
+        result, _, _ = self.the(48.0)
+        places = [watched.place for watched in result.watched]
         assert all(2 * place.every / 48.0 < 1 for place in places)
         per_frame = [sum(frame % place.every == place.offset for place in places) for frame in range(places[0].every)]
         assert max(per_frame) - min(per_frame) <= 1
@@ -429,8 +429,8 @@ class TestPlan:
     @pytest.mark.parametrize("rate_hz", [5.0, 20.0, 48.0, 150.0, 400.0])
     def test_read_backs_are_spread_evenly_over_the_frames_of_a_sweep(self, rate_hz: float) -> None:
         """With more frames than registers they are equally far apart, with fewer they share frames in equal numbers."""
-        found, _, _ = self.the(rate_hz)
-        places = [watched.place for watched in found.watched]
+        result, _, _ = self.the(rate_hz)
+        places = [watched.place for watched in result.watched]
         (every,) = {place.every for place in places}
         shared = Counter(place.offset for place in places)
         assert len(shared) == min(every, len(places), 64)
@@ -442,9 +442,9 @@ class TestPlan:
 
     def test_readings_wait_for_their_conversions(self) -> None:
         for rate_hz in (0.1, 1.0, 9.0, 30.0, 100.0, 200.0, 1000.0):
-            found, _, array = self.the(rate_hz)
-            start, temperature, pressure = found.visits[[sensor.name for sensor in array.sensors].index("BMP180")]
-            period_s = 1 / (rate_hz * found.split)
+            result, _, array = self.the(rate_hz)
+            start, temperature, pressure = result.visits[[sensor.name for sensor in array.sensors].index("BMP180")]
+            period_s = 1 / (rate_hz * result.split)
             assert 4.5e-3 < (temperature.offset - start.offset) * period_s <= 0.1 + 4.5e-3  # BMP-40, and not old
             assert 25.5e-3 < (pressure.offset - temperature.offset) * period_s <= 0.1 + 25.5e-3  # BMP-44
             assert pressure.offset < start.every

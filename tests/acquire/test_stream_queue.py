@@ -347,8 +347,8 @@ def test_a_chip_that_was_reset_is_set_up_again(tmp_path: Path) -> None:
         assert len(time) - again > 1000
         assert not (counts[good] == -32768).any()
         assert not (logged(tmp_path / "r.h5", f"I1_{half}")[2] & (SUSPECT | RECONFIGURED)).any()
-    told = [(sensor, kind) for sensor, kind, _ in events(tmp_path / "r.h5")]
-    assert ("I0_acc", "configuration") in told or ("I0_gyro", "configuration") in told
+    reports = [(sensor, kind) for sensor, kind, _ in events(tmp_path / "r.h5")]
+    assert ("I0_acc", "configuration") in reports or ("I0_gyro", "configuration") in reports
 
 
 @pytest.mark.slow

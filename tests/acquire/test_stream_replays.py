@@ -150,10 +150,10 @@ def test_a_replayed_frame_is_refused_and_loses_no_other(
     assert summary.refused == count
     assert check_rows(bench, array, path, start_ns) == {"A": 400, "G": 400, "B": 400}
     assert set(summary.lost.values()) == {0}
-    told = events(path)
-    assert {kind for _, kind, _ in told} == {"refused"}
-    assert "of the link refused: " in told[0][2]
-    assert told[0][2].endswith("old, repeated or out of order")
+    reports = events(path)
+    assert {kind for _, kind, _ in reports} == {"refused"}
+    assert "of the link refused: " in reports[0][2]
+    assert reports[0][2].endswith("old, repeated or out of order")
 
 
 @pytest.mark.slow

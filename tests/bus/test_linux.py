@@ -229,7 +229,7 @@ class TestClaim:
                 bus.claim(0x40, RIGHT)
 
     @pytest.mark.parametrize(
-        ("text", "path", "address", "said"),
+        ("text", "path", "address", "message"),
         [
             (ON_TRUNK, ROOT, 0x53, r"^A \(adxl345\): /dev/i2c-1: address 0x53 belongs to"),
             (BEHIND_OUR_MUX, ROOT, 0x70, r"^/dev/i2c-1: address 0x70 belongs to .* leave out mux"),
@@ -239,14 +239,14 @@ class TestClaim:
     )
     @pytest.mark.parametrize("recorded", [False, True])
     def test_acquisition_refuses_before_it_sends_anything(
-        self, served: Any, tmp_path: Path, text: str, path: str, address: int, said: str, recorded: bool
+        self, served: Any, tmp_path: Path, text: str, path: str, address: int, message: str, recorded: bool
     ) -> None:
         board, array = board_of(text)
         served(board)[path].owned[address] = "somebody"
         bus: Any = LinuxBus(ROOT)
         if recorded:
             bus = RecordingBus(bus, tmp_path / "t.jsonl")
-        with bus, pytest.raises(SensorError, match=said):
+        with bus, pytest.raises(SensorError, match=message):
             connect(array, bus)
         assert [wire.transactions for wire in board.wires.values()] == [0] * len(board.wires)
 

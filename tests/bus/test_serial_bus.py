@@ -29,14 +29,14 @@ MS = 1_000_000
 
 def received(bus: SerialBus, number: int, count: int) -> tuple[list[int], np.ndarray, np.ndarray]:
     """At least `count` frames of one list: numbers, times, payloads."""
-    found = []
+    pieces = []
     for _ in range(50 + count):
-        came = bus.receive()
-        if number in came:
-            found.append(came[number])
-        if sum(len(samples.numbers) for samples in found) >= count:
+        batches = bus.receive()
+        if number in batches:
+            pieces.append(batches[number])
+        if sum(len(samples.numbers) for samples in pieces) >= count:
             break
-    parts = [(samples.numbers, samples.sent_ns, samples.payload) for samples in found]
+    parts = [(samples.numbers, samples.sent_ns, samples.payload) for samples in pieces]
     numbers, times, payloads = (np.concatenate(column) for column in zip(*parts, strict=True))
     return numbers.tolist(), times, payloads
 
@@ -311,8 +311,8 @@ def test_a_terminal_without_an_answer_is_refused(monkeypatch: pytest.MonkeyPatch
     drain = threading.Thread(target=lambda: os.read(ours, 65536))
     drain.start()
     try:
-        said = refusal(f"serial:{os.ttyname(theirs)}?baud=9600")
-        assert said.endswith("the microcontroller does not answer; its firmware must implement the serial link")
+        message = refusal(f"serial:{os.ttyname(theirs)}?baud=9600")
+        assert message.endswith("the microcontroller does not answer; its firmware must implement the serial link")
     finally:
         drain.join()
         os.close(ours)

@@ -99,10 +99,10 @@ def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
 @example(b"\xa5", [])
 def test_any_bytes_in_pieces_of_any_length_are_skipped_or_are_frames(data: bytes, cuts: list[int]) -> None:
     deframer = Deframer()
-    found = [frame for piece in pieces(data, cuts) for frame in deframer.feed(piece)]
-    found += deframer.feed(b"", final=True)
-    assert deframer.skipped + sum(link.OVERHEAD + len(frame.payload) for frame in found) == len(data)
-    assert all(wire(frame) in data for frame in found)
+    frames = [frame for piece in pieces(data, cuts) for frame in deframer.feed(piece)]
+    frames += deframer.feed(b"", final=True)
+    assert deframer.skipped + sum(link.OVERHEAD + len(frame.payload) for frame in frames) == len(data)
+    assert all(wire(frame) in data for frame in frames)
 
 
 @settings(deadline=None)
@@ -110,9 +110,9 @@ def test_any_bytes_in_pieces_of_any_length_are_skipped_or_are_frames(data: bytes
 def test_whole_frames_are_read_between_any_noise(sent: list[tuple[bytes, Frame]], tail: bytes, cuts: list[int]) -> None:
     data = b"".join(noise + wire(frame) for noise, frame in sent) + tail
     deframer = Deframer()
-    found = [frame for piece in pieces(data, cuts) for frame in deframer.feed(piece)]
-    found += deframer.feed(b"", final=True)
-    assert found == [frame for _, frame in sent]
+    whole_frames = [frame for piece in pieces(data, cuts) for frame in deframer.feed(piece)]
+    whole_frames += deframer.feed(b"", final=True)
+    assert whole_frames == [frame for _, frame in sent]
 
 
 @settings(deadline=None)
@@ -121,8 +121,8 @@ def test_a_flipped_bit_costs_one_frame(sent: list[Frame], where: int) -> None:
     middle = bytearray(wire(sent[1]))
     bit = where % (8 * len(middle))
     middle[bit // 8] ^= 1 << bit % 8
-    found = Deframer().feed(wire(sent[0]) + middle + wire(sent[2]), final=True)
-    assert found == [sent[0], sent[2]]
+    whole_frames = Deframer().feed(wire(sent[0]) + middle + wire(sent[2]), final=True)
+    assert whole_frames == [sent[0], sent[2]]
 
 
 @settings(deadline=None)
@@ -139,9 +139,11 @@ def test_a_whole_frame_is_returned_at_once(sent: list[Frame]) -> None:
 def test_the_firmware_receives_the_same_frames(sent: list[tuple[bytes, Frame]], cuts: list[int]) -> None:
     data = b"".join(noise + wire(frame) for noise, frame in sent) + bytes(1100)
     receiver = firmware.Receiver()
-    heard = [command for piece in pieces(data, cuts) for command in receiver.feed(piece)]
-    assert [command.raw for command in heard] == [wire(frame) for _, frame in sent]
-    assert [command[:3] for command in heard] == [(frame.kind, frame.sequence, frame.payload) for _, frame in sent]
+    whole_frames = [command for piece in pieces(data, cuts) for command in receiver.feed(piece)]
+    assert [command.raw for command in whole_frames] == [wire(frame) for _, frame in sent]
+    assert [command[:3] for command in whole_frames] == [
+        (frame.kind, frame.sequence, frame.payload) for _, frame in sent
+    ]
 
 
 @settings(deadline=None)

@@ -153,7 +153,7 @@ def test_i2c_is_disabled_only_on_spi(chip: str, register: int, bits: int, value:
 
 
 @pytest.mark.parametrize(
-    ("chip", "keys", "said"),
+    ("chip", "keys", "message"),
     [
         ("adxl345", "address = 0x53\n", "a chip on SPI has none, leave it out"),
         ("adxl345", "spi_clock_hz = 6000000\n", "spi_clock_hz 6000000: the adxl345 supports up to 5000000"),
@@ -161,8 +161,8 @@ def test_i2c_is_disabled_only_on_spi(chip: str, register: int, bits: int, value:
         ("icm42688_acc", "spi_clock_hz = 0\n", "allowed is 1 or more"),
     ],
 )
-def test_invalid_configurations_are_refused(chip: str, keys: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_invalid_configurations_are_refused(chip: str, keys: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         parse_array(text(chip, keys))
 
 

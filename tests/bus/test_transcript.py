@@ -102,14 +102,14 @@ def test_a_recorded_conversation_is_replayed(
     path = tmp_path_factory.mktemp("t") / "t.jsonl"
 
     def say(bus: Any) -> list[bytes | int | None]:
-        heard: list[bytes | int | None] = []
+        answers: list[bytes | int | None] = []
         for device, address, write, answer, count in talk:
             target = bus.channel_bus(device) if device else bus
             try:
-                heard.append(target.transfer(address, write, len(answer) if isinstance(answer, bytes) else count))
+                answers.append(target.transfer(address, write, len(answer) if isinstance(answer, bytes) else count))
             except OSError as error:
-                heard.append(error.errno)
-        return heard
+                answers.append(error.errno)
+        return answers
 
     with RecordingBus(Script([answer for *_, answer, _ in talk]), path) as recording:
         first = say(recording)
@@ -124,7 +124,7 @@ GOOD = {"to": "53", "write": "00", "read": "e5", "at_ns": 5}
 
 
 @pytest.mark.parametrize(
-    ("address", "write", "read", "said"),
+    ("address", "write", "read", "message"),
     [
         (0x1D, b"\x00", 1, "recorded 0x53 write 00 read 1, now 0x1d write 00 read 1"),
         (0x53, b"\x01", 1, "recorded 0x53 write 00 read 1, now 0x53 write 01 read 1"),
@@ -133,14 +133,14 @@ GOOD = {"to": "53", "write": "00", "read": "e5", "at_ns": 5}
     ],
 )
 def test_the_first_difference_is_refused_with_its_line(
-    tmp_path: Path, address: int, write: bytes, read: int, said: str
+    tmp_path: Path, address: int, write: bytes, read: int, message: str
 ) -> None:
     path = transcript(tmp_path, GOOD, GOOD, GOOD)
     with ReplayBus(path) as bus:
         assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
         with pytest.raises(SensorError) as refused:
             bus.transfer(address, write, read)
-    assert str(refused.value) == f"{path}, line 2: {said}"
+    assert str(refused.value) == f"{path}, line 2: {message}"
 
 
 def test_another_bus_is_a_difference(tmp_path: Path) -> None:
@@ -395,14 +395,14 @@ def test_checks_of_address_owners_are_recorded(tmp_path: Path) -> None:
                 raise SensorError("belongs to the kernel")
 
     def ask(bus: Any) -> list[str]:
-        said = []
+        claims = []
         for address, path in ((0x1E, None), (0x53, None), (0x40, "/dev/i2c-11")):
             try:
                 bus.claim(address, path)
-                said.append("")
+                claims.append("")
             except (OSError, SensorError) as error:
-                said.append(f"{type(error).__name__} {getattr(error, 'errno', error)}")
-        return said
+                claims.append(f"{type(error).__name__} {getattr(error, 'errno', error)}")
+        return claims
 
     with RecordingBus(Owned([]), tmp_path / "t.jsonl") as bus:
         first = ask(bus)

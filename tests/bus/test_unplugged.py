@@ -76,7 +76,7 @@ class Bench:
         return LinuxBus("/dev/i2c-1", devices=self.machine.devices, clock=self.board.clock)
 
     def record(self, path: Path, seconds: float, at: dict[float, Callable[[], Any]]) -> Any:
-        todo, told = sorted(at.items()), list[Any]()
+        todo, events = sorted(at.items()), list[Any]()
         with self.bus() as bus:
             begun: list[int] = []
 
@@ -94,10 +94,10 @@ class Bench:
                 rate_hz=50,
                 seconds=seconds,
                 stopped=stopped,
-                on_event=told.append,  # type: ignore[arg-type]
+                on_event=events.append,  # type: ignore[arg-type]
             )
         assert not todo
-        return done, [(event.time_ns / SECOND, event.sensor, event.kind, event.message) for event in told]
+        return done, [(event.time_ns / SECOND, event.sensor, event.kind, event.message) for event in events]
 
 
 @pytest.fixture
@@ -132,8 +132,8 @@ def test_a_recording_continues_when_the_adapter_returns_with_another_number(
         it.lose_supply()
         machine.plug(3, "1-1", "array")
 
-    done, told = it.record(tmp_path / "r.h5", 12, {2.0: lambda: machine.unplug(1), 4.0: plug_others, 6.0: plug_in})
-    (removal, again) = [event for event in told if event[2] == "adapter"]
+    done, events = it.record(tmp_path / "r.h5", 12, {2.0: lambda: machine.unplug(1), 4.0: plug_others, 6.0: plug_in})
+    (removal, again) = [event for event in events if event[2] == "adapter"]
     assert 2.0 <= removal[0] < 2.1
     assert removal[3] == (
         "the adapter /dev/i2c-1 (USB 0403:c631 serial array at port 1-1, i2c-tiny-usb at bus # device #, interface 1.0)"
@@ -141,8 +141,8 @@ def test_a_recording_continues_when_the_adapter_returns_with_another_number(
     )
     assert 6.0 < again[0] < 6.6
     assert again[3].startswith("the adapter is back as /dev/i2c-3, its sensors are configured again")
-    assert sorted(event[1] for event in told if event[2] == "reconfigured") == ["A", "B"]
-    assert len(told) <= 8
+    assert sorted(event[1] for event in events if event[2] == "reconfigured") == ["A", "B"]
+    assert len(events) <= 8
     assert done.silent == []
     with open_log(tmp_path / "r.h5") as log:
         for name in "AB":
@@ -215,8 +215,8 @@ def test_channels_of_the_kernel_return_with_their_adapter(bench: Callable[..., B
         it.lose_supply()
         machine.plug(3, "1-1", channels={0: 21, 1: 22})
 
-    done, told = it.record(tmp_path / "r.h5", 12, {2.0: lambda: machine.unplug(12, 11, 1), 6.0: plug_in})
-    messages = [event[3] for event in told if event[2] == "adapter"]
+    done, events = it.record(tmp_path / "r.h5", 12, {2.0: lambda: machine.unplug(12, 11, 1), 6.0: plug_in})
+    messages = [event[3] for event in events if event[2] == "adapter"]
     assert sorted(message.split(",")[0] for message in messages[2:]) == [
         "the adapter is back as /dev/i2c-21",
         "the adapter is back as /dev/i2c-22",
@@ -236,10 +236,10 @@ def test_channels_of_the_kernel_return_with_their_adapter(bench: Callable[..., B
 def test_an_adapter_that_stays_unplugged_is_reported_until_the_end(bench: Callable[..., Bench], tmp_path: Path) -> None:
     it = bench()
     it.machine.plug(1, "1-1")
-    done, told = it.record(tmp_path / "r.h5", 3600, {2.0: lambda: it.machine.unplug(1)})
+    done, events = it.record(tmp_path / "r.h5", 3600, {2.0: lambda: it.machine.unplug(1)})
     assert done.silent == ["A", "B"]
-    assert len(told) <= 6
-    adapter = [event for event in told if event[2] == "adapter"]
+    assert len(events) <= 6
+    adapter = [event for event in events if event[2] == "adapter"]
     assert adapter[1][3] == "still present when the log ended, after 3598.0 s"
     assert sum(done.lost.values()) == pytest.approx(2 * 3598 * 50, abs=10)
 
@@ -289,12 +289,12 @@ class TestIdentity:
             folder.mkdir(parents=True)
             (folder / "name").write_text(f"bcm2835 ({parent})\n")
             (devices / f"i2c-{number}").symlink_to(folder)
-        found = adapters(devices)
-        assert [entry.identity.text.partition(",")[0] for entry in found.values()] == [
+        entries = adapters(devices)
+        assert [entry.identity.text.partition(",")[0] for entry in entries.values()] == [
             "bcm2835 (fe804000.i2c) of fe804000.i2c",
             "bcm2835 (fe205000.i2c) of fe205000.i2c",
         ]
-        assert is_alone(found["i2c-0"].identity, found)
+        assert is_alone(entries["i2c-0"].identity, entries)
 
     def test_a_serial_port_is_identified_by_its_usb_device(self, tmp_path: Path) -> None:
         for name, part in (("ttyACM0", "1-2:1.0"), ("ttyUSB0", "1-3:1.0/ttyUSB0")):
@@ -306,8 +306,8 @@ class TestIdentity:
             (tmp_path / "class").mkdir(exist_ok=True)
             (tmp_path / "class" / name).symlink_to(folder / "tty" / name)
             (folder / "tty" / name / "device").symlink_to(folder)
-        found = ports(tmp_path / "class")
-        assert [(name, entry.identity.text) for name, entry in found.items()] == [
+        entries = ports(tmp_path / "class")
+        assert [(name, entry.identity.text) for name, entry in entries.items()] == [
             ("ttyACM0", "USB 2341:0043 at port 1-2, interface 1.0"),
             ("ttyUSB0", "USB 2341:0043 at port 1-3, interface 1.0"),
         ]
@@ -325,10 +325,10 @@ def test_a_log_whose_adapter_stays_unplugged_ends_with_an_error(
     (tmp_path / "n.toml").write_text(f'[[fault]]\nkind="adapter_unplugged"\nat_s=3.0\nfor_s={for_s}\n')
     url, run = f"emulated:?faults={tmp_path / 'n.toml'}", str(tmp_path / "r.h5")
     assert main(["log", str(tmp_path / "a.toml"), "--bus", url, "--seconds", "10", "-o", run]) == expected
-    said = capsys.readouterr().err
-    assert "adapter: the emulated adapter is unplugged (errno 19)" in said
-    assert ("no sensor answered when the recording ended" in said) == bool(expected)
-    assert ("adapter: the adapter is back" in said) == (not expected)
+    errors = capsys.readouterr().err
+    assert "adapter: the emulated adapter is unplugged (errno 19)" in errors
+    assert ("no sensor answered when the recording ended" in errors) == bool(expected)
+    assert ("adapter: the adapter is back" in errors) == (not expected)
 
 
 class TestSerialPort:
@@ -394,11 +394,11 @@ def test_a_microcontroller_without_a_stream_is_reconnected(tmp_path: Path) -> No
                 chip.power_on(it.now_ns())
         return False
 
-    told: list[Any] = []
+    events: list[Any] = []
     with RecordingBus(it.bus(), tmp_path / "t.jsonl") as bus:
-        done = record(array, bus, tmp_path / "r.h5", rate_hz=20, seconds=15, stopped=stopped, on_event=told.append)
+        done = record(array, bus, tmp_path / "r.h5", rate_hz=20, seconds=15, stopped=stopped, on_event=events.append)
     assert done.silent == []
-    adapter = [event for event in told if event.kind == "adapter"]
+    adapter = [event for event in events if event.kind == "adapter"]
     assert len(adapter) == 2
     assert 3 * SECOND < adapter[0].time_ns < 5 * SECOND
     assert 8 * SECOND < adapter[1].time_ns < 11 * SECOND

@@ -36,7 +36,7 @@ def test_text_that_names_no_bus_is_refused(url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("query", "said"),
+    ("query", "message"),
     [
         ("?colour=red", "colour: no such parameter; allowed are clock, world, seed"),
         ("?world=moon", "world 'moon'; allowed are still, tumble, heating, shaking"),
@@ -55,8 +55,8 @@ def test_text_that_names_no_bus_is_refused(url: str) -> None:
         ),
     ],
 )
-def test_invalid_parameters_of_the_emulated_bus_are_refused(query: str, said: str) -> None:
-    assert refusal(f"emulated:{query}").startswith(f"bus 'emulated:{query}': {said}")
+def test_invalid_parameters_of_the_emulated_bus_are_refused(query: str, message: str) -> None:
+    assert refusal(f"emulated:{query}").startswith(f"bus 'emulated:{query}': {message}")
 
 
 def test_the_emulated_bus_is_opened() -> None:

@@ -79,12 +79,12 @@ def test_decode_eight_samples() -> None:
     driver = Bmp180(None, sensor(), None)  # type: ignore[arg-type]
     driver.words = WORDS
     # UT 27898 = 0x6CFA, UP 190744 << (8 - 3) = 0x5D2300: BMP-47
-    told = driver.decode(np.array([list(bytes.fromhex("6CFA 5D2300"))], np.uint8))
-    np.testing.assert_array_equal(told.counts, [[27898, 190744]])
-    assert told.counts.dtype == np.int32
-    assert told.compensated["temperature"][0] == 15.0
-    assert told.compensated["pressure"][0] == 69963.0
-    assert told.status[0] == 0
+    reading = driver.decode(np.array([list(bytes.fromhex("6CFA 5D2300"))], np.uint8))
+    np.testing.assert_array_equal(reading.counts, [[27898, 190744]])
+    assert reading.counts.dtype == np.int32
+    assert reading.compensated["temperature"][0] == 15.0
+    assert reading.compensated["pressure"][0] == 69963.0
+    assert reading.status[0] == 0
 
 
 @pytest.fixture
@@ -102,14 +102,14 @@ def test_header_is_the_words(ready: Any) -> None:
 
 def test_a_reading_takes_the_time_of_both_conversions(ready: Any) -> None:
     start_ns = ready.clock.now_ns()
-    came: list[int] = []
+    times_ns: list[int] = []
     while ready.clock.now_ns() < start_ns + 60_000_000:
         if ready.driver.fetch():
-            came.append(ready.clock.now_ns() - start_ns)
+            times_ns.append(ready.clock.now_ns() - start_ns)
         ready.wait(0.0005)
-    assert len(came) == 1
-    assert came[0] >= 4_500_000 + 25_500_000  # the longest conversions, BMP-40 and BMP-44
-    assert came[0] < 34_000_000
+    assert len(times_ns) == 1
+    assert times_ns[0] >= 4_500_000 + 25_500_000  # the longest conversions, BMP-40 and BMP-44
+    assert times_ns[0] < 34_000_000
     commands = [write for write in ready.tap.writes if write[0] == 0xF4]
     assert commands == [b"\xf4\x2e", b"\xf4\xf4"]
 
@@ -152,9 +152,9 @@ def test_readings_agree_with_the_world(ready: Any) -> None:
     while not burst:
         burst = ready.driver.fetch()
         ready.wait(0.002)
-    told = ready.driver.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
-    assert told.compensated["temperature"][0] == pytest.approx(25.0, abs=0.1)
-    assert told.compensated["pressure"][0] == pytest.approx(101325, abs=2)
+    reading = ready.driver.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
+    assert reading.compensated["temperature"][0] == pytest.approx(25.0, abs=0.1)
+    assert reading.compensated["pressure"][0] == pytest.approx(101325, abs=2)
 
 
 def test_an_overdue_conversion_is_an_error(ready: Any) -> None:
@@ -188,11 +188,11 @@ def test_readings_restart_after_an_error(ready: Any) -> None:
     with pytest.raises(OSError, match="Remote"):
         ready.driver.fetch()
     ready.tap.bus = inner
-    came = 0
+    readings = 0
     for _ in range(600):
-        came += bool(ready.driver.fetch())
+        readings += bool(ready.driver.fetch())
         ready.wait(0.001)
-    assert came >= 1
+    assert readings >= 1
 
 
 def test_an_old_result_is_never_taken_for_a_new_one(ready: Any) -> None:
@@ -224,9 +224,9 @@ def test_an_old_result_is_never_taken_for_a_new_one(ready: Any) -> None:
     for _ in range(1000):
         burst = burst or ready.driver.fetch()
         ready.wait(0.001)
-    told = ready.driver.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
-    assert told.compensated["temperature"][0] == pytest.approx(40.0, abs=0.1)
-    assert told.compensated["pressure"][0] == pytest.approx(90000, abs=2)
+    reading = ready.driver.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
+    assert reading.compensated["temperature"][0] == pytest.approx(40.0, abs=0.1)
+    assert reading.compensated["pressure"][0] == pytest.approx(90000, abs=2)
 
 
 @pytest.mark.parametrize("word", ["AC1", "AC4", "MD"])
@@ -245,8 +245,8 @@ def test_a_conversion_of_an_earlier_program_is_discarded(bench: Callable[..., An
     while not burst:
         burst = made.driver.fetch()
         made.wait(0.001)
-    told = made.driver.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
-    assert told.compensated["pressure"][0] == pytest.approx(101325, abs=2)
+    reading = made.driver.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
+    assert reading.compensated["pressure"][0] == pytest.approx(101325, abs=2)
 
 
 def test_another_chip_is_refused(bench: Callable[..., Any]) -> None:

@@ -48,9 +48,9 @@ class TestAdxl345:
         assert made.register(0x2D) == 0x08
         assert [made.register(address) for address in (0x1E, 0x1F, 0x20, 0x38, 0x2E)] == [0] * 5
         for _ in range(3):
-            told = made.read()
-            np.testing.assert_array_equal(told.counts, [[256, -128, 64]])  # 256 per g in every range: ADX-40
-            assert told.status[0] in (0, OVERRUN)  # samples passed unread while it was configured
+            reading = made.read()
+            np.testing.assert_array_equal(reading.counts, [[256, -128, 64]])  # 256 per g in every range: ADX-40
+            assert reading.status[0] in (0, OVERRUN)  # samples passed unread while it was configured
             made.wait(0.01)
 
     @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ class TestAdxl345:
         first, second = made.read(), made.read()
         made.wait(0.010)
         third = made.read()
-        assert [told.status[0] for told in (first, second, third)] == [0, 1, 0]
+        assert [reading.status[0] for reading in (first, second, third)] == [0, 1, 0]
 
     @pytest.mark.parametrize("register", [0x2D, 0x2C, 0x31, 0x38, 0x2E, 0x1E, 0x1F, 0x20])
     def test_a_register_that_drops_a_write_is_reported(self, bench: Build, register: int) -> None:
@@ -132,9 +132,9 @@ class TestBma180:
         assert made.register(0x30) & 0x03 == 0
         assert made.register(0x33) & 0x01 == 0
         assert made.register(0x0D) & 0x12 == 0  # locked, awake
-        told = made.read()
-        np.testing.assert_allclose(told.counts, [[lsb_per_g * 0.5, -lsb_per_g * 0.25, lsb_per_g * 0.75]], atol=1)
-        assert told.temperature_counts[0] == 2  # 25 degC: BMA-63
+        reading = made.read()
+        np.testing.assert_allclose(reading.counts, [[lsb_per_g * 0.5, -lsb_per_g * 0.25, lsb_per_g * 0.75]], atol=1)
+        assert reading.temperature_counts[0] == 2  # 25 degC: BMA-63
 
     @pytest.mark.parametrize(
         ("bandwidth_hz", "code"),  # BMA-81 ... BMA-88
@@ -245,11 +245,11 @@ class TestL3g4200d:
         assert made.register(0x24) in (0x02, 0x03)  # through the second low-pass: L3G-37
         made.wait(1.0)
         for _ in range(3):
-            told = made.read()
-            np.testing.assert_allclose(told.counts, np.array([[70, -35, 14]]) / dps_per_digit, atol=1)
-            assert told.status[0] in (0, OVERRUN)  # samples passed unread while it was configured
+            reading = made.read()
+            np.testing.assert_allclose(reading.counts, np.array([[70, -35, 14]]) / dps_per_digit, atol=1)
+            assert reading.status[0] in (0, OVERRUN)  # samples passed unread while it was configured
             made.wait(0.01)
-        assert told.temperature_counts[0] == 22  # 47 at 0 degC in this part, one less a degree: L3G-60
+        assert reading.temperature_counts[0] == 22  # 47 at 0 degC in this part, one less a degree: L3G-60
 
     @pytest.mark.parametrize(
         ("rate_hz", "bandwidth_hz", "top"),
@@ -327,11 +327,11 @@ class TestHmc5883:
         assert made.register(0x00) == 0x18  # one sample, 75 Hz, unbiased: HMC-10, HMC-28
         assert made.register(0x01) == gain
         for _ in range(3):
-            told = made.read()
+            reading = made.read()
             np.testing.assert_allclose(
-                told.counts, [[0.2 * lsb_per_gauss, -0.1 * lsb_per_gauss, 0.4 * lsb_per_gauss]], atol=1
+                reading.counts, [[0.2 * lsb_per_gauss, -0.1 * lsb_per_gauss, 0.4 * lsb_per_gauss]], atol=1
             )
-            assert told.status[0] in (0, OVERRUN)  # samples passed unread while it was configured
+            assert reading.status[0] in (0, OVERRUN)  # samples passed unread while it was configured
             made.chip.element.vector = (0.2, -0.1, 0.4)
             made.wait(1 / 75)
         made.chip.element.vector = (-0.2, 0.1, 0.0)

@@ -41,17 +41,17 @@ def decoded(chip: str, *bursts: str, **settings: Any) -> DecodedBursts:
 class TestBma180:
     def test_vectors_of_bma_65(self) -> None:
         plus_g, minus_g, minus_one, most, zero = "01 40", "01 C0", "FD FF", "FD 7F", "01 00"
-        told = decoded("bma180", f"{plus_g}{minus_g}{minus_one} 00", f"{most}{zero}{plus_g} 00")
-        np.testing.assert_array_equal(told.counts, [[4096, -4096, -1], [8191, 0, 4096]])
-        assert told.counts.dtype == np.int16
+        reading = decoded("bma180", f"{plus_g}{minus_g}{minus_one} 00", f"{most}{zero}{plus_g} 00")
+        np.testing.assert_array_equal(reading.counts, [[4096, -4096, -1], [8191, 0, 4096]])
+        assert reading.counts.dtype == np.int16
 
     def test_temperature_of_bma_63(self) -> None:
-        told = decoded(
+        reading = decoded(
             "bma180", "01 00 01 00 01 00 00", "01 00 01 00 01 00 80", "01 00 01 00 01 00 02", "01 00 01 00 01 00 FF"
         )
-        assert told.temperature_counts is not None
-        assert told.temperature_counts.dtype == np.int16
-        np.testing.assert_array_equal(told.temperature_counts, [0, -128, 2, -1])
+        assert reading.temperature_counts is not None
+        assert reading.temperature_counts.dtype == np.int16
+        np.testing.assert_array_equal(reading.temperature_counts, [0, -128, 2, -1])
 
     def test_the_new_data_flag_does_not_change_the_code(self) -> None:
         with_flag, without = decoded("bma180", "01 40 01 40 01 40 00"), decoded("bma180", "00 40 00 40 00 40 00")
@@ -76,14 +76,14 @@ class TestBma180:
 
 class TestAdxl345:
     def test_vectors_of_adx_48(self) -> None:
-        told = decoded("adxl345", "82 0B 00 01 00 FF 00 F0", "82 0B FF 0F 00 00 FF FF")
-        np.testing.assert_array_equal(told.counts, [[256, -256, -4096], [4095, 0, -1]])
-        assert told.counts.dtype == np.int16
-        assert told.temperature_counts is None
+        reading = decoded("adxl345", "82 0B 00 01 00 FF 00 F0", "82 0B FF 0F 00 00 FF FF")
+        np.testing.assert_array_equal(reading.counts, [[256, -256, -4096], [4095, 0, -1]])
+        assert reading.counts.dtype == np.int16
+        assert reading.temperature_counts is None
 
     def test_stale_without_data_ready(self) -> None:
-        told = decoded("adxl345", "02 0B 00 01 00 FF 00 00", "82 0B 00 01 00 FF 00 00", "83 0B 00 01 00 FF 00 00")
-        np.testing.assert_array_equal(told.status & STALE, [STALE, 0, 0])
+        reading = decoded("adxl345", "02 0B 00 01 00 FF 00 00", "82 0B 00 01 00 FF 00 00", "83 0B 00 01 00 FF 00 00")
+        np.testing.assert_array_equal(reading.status & STALE, [STALE, 0, 0])
 
     @pytest.mark.parametrize(
         ("range_g", "low", "inside_low", "inside_high", "high"),
@@ -98,53 +98,53 @@ class TestAdxl345:
         self, range_g: int, low: str, inside_low: str, inside_high: str, high: str
     ) -> None:
         bursts = [f"82 0B 00 00 {word} 00 00" for word in (low, inside_low, inside_high, high)]
-        told = decoded("adxl345", *bursts, range=range_g, rate_hz=800.0)
-        np.testing.assert_array_equal(told.status, [SATURATED, 0, 0, SATURATED])
+        reading = decoded("adxl345", *bursts, range=range_g, rate_hz=800.0)
+        np.testing.assert_array_equal(reading.status, [SATURATED, 0, 0, SATURATED])
 
     @pytest.mark.parametrize("rate_hz", [1600, 3200])
     def test_saturated_where_only_even_codes_occur(self, rate_hz: int) -> None:
         # ADX-47: at 1600 and 3200 Hz the lowest bit is 0, so that +4094 is the top of the span.
-        told = decoded(
+        reading = decoded(
             "adxl345", "82 0B FE 0F 00 00 00 00", "82 0B FC 0F 00 00 00 00", range=16, rate_hz=float(rate_hz)
         )
-        np.testing.assert_array_equal(told.status, [SATURATED, 0])
+        np.testing.assert_array_equal(reading.status, [SATURATED, 0])
 
 
 class TestL3g4200d:
     def test_vectors_of_l3g_45(self) -> None:
-        told = decoded("l3g4200d", "14 0F A5 2C 6B FA 00 00")
-        np.testing.assert_array_equal(told.counts, [[11429, -1429, 0]])
-        assert told.counts.dtype == np.int16
+        reading = decoded("l3g4200d", "14 0F A5 2C 6B FA 00 00")
+        np.testing.assert_array_equal(reading.counts, [[11429, -1429, 0]])
+        assert reading.counts.dtype == np.int16
 
     def test_temperature_is_a_signed_byte(self) -> None:
-        told = decoded("l3g4200d", "14 0F" + "00" * 6, "FF 0F" + "00" * 6, "80 0F" + "00" * 6)
-        assert told.temperature_counts is not None
-        np.testing.assert_array_equal(told.temperature_counts, [20, -1, -128])
+        reading = decoded("l3g4200d", "14 0F" + "00" * 6, "FF 0F" + "00" * 6, "80 0F" + "00" * 6)
+        assert reading.temperature_counts is not None
+        np.testing.assert_array_equal(reading.temperature_counts, [20, -1, -128])
 
     def test_stale_without_zyxda(self) -> None:
         # L3G-18: bit 3 means that all three axes are new.
-        told = decoded(
+        reading = decoded(
             "l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "08", "07", "00", "F0", "FF"))
         )
-        np.testing.assert_array_equal(told.status & ~np.uint16(OVERRUN), [0, 0, STALE, STALE, STALE, 0])
+        np.testing.assert_array_equal(reading.status & ~np.uint16(OVERRUN), [0, 0, STALE, STALE, STALE, 0])
 
     def test_overrun_with_zyxor(self) -> None:
         # L3G-18, L3G-52: bit 7 means that all three axes were replaced unread.
-        told = decoded("l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "8F", "7F", "FF")))
-        np.testing.assert_array_equal(told.status, [0, OVERRUN, 0, OVERRUN])
+        reading = decoded("l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "8F", "7F", "FF")))
+        np.testing.assert_array_equal(reading.status, [0, OVERRUN, 0, OVERRUN])
 
     def test_saturated(self) -> None:
-        told = decoded("l3g4200d", "14 0F FF 7F 00 00 00 00", "14 0F 00 00 00 80 00 00", "14 0F FE 7F 01 80 00 00")
-        np.testing.assert_array_equal(told.status, [SATURATED, SATURATED, 0])
+        reading = decoded("l3g4200d", "14 0F FF 7F 00 00 00 00", "14 0F 00 00 00 80 00 00", "14 0F FE 7F 01 80 00 00")
+        np.testing.assert_array_equal(reading.status, [SATURATED, SATURATED, 0])
 
 
 @pytest.mark.parametrize("chip", ["hmc5883", "hmc5883l"])
 class TestHmc5883:
     def test_vector_of_hmc_40_in_the_order_x_z_y(self, chip: str) -> None:
-        told = decoded(chip, "02 21 FF FF 00 10")
-        np.testing.assert_array_equal(told.counts, [[545, 16, -1]])
-        assert told.counts.dtype == np.int16
-        assert told.status[0] == 0
+        reading = decoded(chip, "02 21 FF FF 00 10")
+        np.testing.assert_array_equal(reading.counts, [[545, 16, -1]])
+        assert reading.counts.dtype == np.int16
+        assert reading.status[0] == 0
 
     @pytest.mark.parametrize(
         "burst",
@@ -171,10 +171,10 @@ def test_a_bma180_burst_round_trips_all_14_bit_codes(codes: tuple[int, int, int]
     burst = b"".join(((code & 0x3FFF) << 2 | 1).to_bytes(2, "little") for code in codes) + temperature.to_bytes(
         1, "big", signed=True
     )
-    told = decoded("bma180", burst.hex())
-    np.testing.assert_array_equal(told.counts, [codes])
-    assert told.temperature_counts is not None
-    assert told.temperature_counts[0] == temperature
+    reading = decoded("bma180", burst.hex())
+    np.testing.assert_array_equal(reading.counts, [codes])
+    assert reading.temperature_counts is not None
+    assert reading.temperature_counts[0] == temperature
 
 
 def test_the_burst_length_of_a_spec_is_that_of_its_driver() -> None:

@@ -294,7 +294,7 @@ def test_settings_of_an_earlier_program_are_replaced(ready: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("chip", "identity", "said"),
+    ("chip", "identity", "message"),
     [
         ("bmp280", 0x55, "identity 55, a BMP180, expected 58"),
         ("bmp280", 0x60, "identity 60, a BME280, expected 58"),  # BMP-102
@@ -302,7 +302,7 @@ def test_settings_of_an_earlier_program_are_replaced(ready: Any) -> None:
         ("bmp388", 0x60, "identity 60, a BMP390, expected 50"),  # BMP-202
     ],
 )
-def test_another_chip_is_named(bench: Callable[..., Any], chip: str, identity: int, said: str) -> None:
+def test_another_chip_is_named(bench: Callable[..., Any], chip: str, identity: int, message: str) -> None:
     made = bench(CHIPS[chip], sensor(chip), identity=identity)
-    with pytest.raises(SensorError, match=rf"P \({chip}\) at trunk address 0x76: {said}"):
+    with pytest.raises(SensorError, match=rf"P \({chip}\) at trunk address 0x76: {message}"):
         made.driver.identify()

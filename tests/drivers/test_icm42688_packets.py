@@ -59,11 +59,11 @@ def status(counts: list[int], lowest: int) -> int:
 def test_counts_of_18_and_19_bits_are_decoded(samples: list[tuple[tuple[int, ...], tuple[int, ...], int]]) -> None:
     packets = b"".join(packet(*sample) for sample in samples)
     for half, place, lowest in (("acc", 0, -(1 << 17)), ("gyro", 1, -(1 << 18))):
-        told = decoded(half, high_resolution_rows(packets, half))
-        assert told.counts.dtype == np.int32
-        assert told.counts.tolist() == [list(sample[place]) for sample in samples]
-        assert told.temperature_counts.tolist() == [sample[2] for sample in samples]
-        assert told.status.tolist() == [status(list(sample[place]), lowest) for sample in samples]
+        reading = decoded(half, high_resolution_rows(packets, half))
+        assert reading.counts.dtype == np.int32
+        assert reading.counts.tolist() == [list(sample[place]) for sample in samples]
+        assert reading.temperature_counts.tolist() == [sample[2] for sample in samples]
+        assert reading.status.tolist() == [status(list(sample[place]), lowest) for sample in samples]
 
 
 @given(st.lists(st.tuples(WORD, WORD, WORD, st.integers(-128, 127)), max_size=20), st.sampled_from(["acc", "gyro"]))
@@ -74,10 +74,10 @@ def test_packets_with_one_triad_are_decoded(samples: list[tuple[int, ...]], half
         + temperature.to_bytes(1, "big", signed=True)
         for *counts, temperature in samples
     )
-    told = decoded(half, widened(packets, half), fine=False)
-    assert told.counts.tolist() == [list(sample[:3]) for sample in samples]
-    assert told.temperature_counts.tolist() == [-32768 if last == -128 else 64 * last for *_, last in samples]
-    assert told.status.tolist() == [status(list(sample[:3]), -32768) for sample in samples]
+    reading = decoded(half, widened(packets, half), fine=False)
+    assert reading.counts.tolist() == [list(sample[:3]) for sample in samples]
+    assert reading.temperature_counts.tolist() == [-32768 if last == -128 else 64 * last for *_, last in samples]
+    assert reading.status.tolist() == [status(list(sample[:3]), -32768) for sample in samples]
 
 
 @pytest.mark.parametrize("half", ["acc", "gyro"])
@@ -90,8 +90,8 @@ def test_the_lowest_code_is_suspect_and_the_end_codes_are_saturated(half: str) -
     packets = b"".join(
         packet(*(((*sample,), (0, 0, 0)) if half == "acc" else ((0, 0, 0), (*sample,))), 0) for sample in samples
     )
-    told = decoded(half, high_resolution_rows(packets, half))
-    assert told.status.tolist() == [SUSPECT, SUSPECT, SUSPECT, SATURATED, SATURATED, 0]
+    reading = decoded(half, high_resolution_rows(packets, half))
+    assert reading.status.tolist() == [SUSPECT, SUSPECT, SUSPECT, SATURATED, SATURATED, 0]
 
 
 @pytest.mark.parametrize(

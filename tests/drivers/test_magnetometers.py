@@ -156,7 +156,7 @@ def test_a_mark_is_kept_and_verified(bench: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("chip", "identity", "said"),
+    ("chip", "identity", "message"),
     [
         ("lis3mdl", 0x3C, "identity 3c, an LSM303DLHC or LSM303DLM, expected 3d"),  # LIS-02
         ("lis3mdl", 0x00, "identity 00, expected 3d"),
@@ -165,9 +165,9 @@ def test_a_mark_is_kept_and_verified(bench: Callable[..., Any]) -> None:
         ("mmc5983", 0x0A, "identity 0a, expected 30"),
     ],
 )
-def test_another_chip_is_named(bench: Callable[..., Any], chip: str, identity: int, said: str) -> None:
+def test_another_chip_is_named(bench: Callable[..., Any], chip: str, identity: int, message: str) -> None:
     made = bench(CHIPS[chip], sensor(chip), identity=identity)
-    with pytest.raises(SensorError, match=rf"M \({chip}\) at trunk address {ADDRESSES[chip]:#04x}: {said}"):
+    with pytest.raises(SensorError, match=rf"M \({chip}\) at trunk address {ADDRESSES[chip]:#04x}: {message}"):
         made.driver.identify()
 
 

@@ -169,12 +169,12 @@ def test_a_queue_that_ran_over_is_flagged_and_its_rows_are_whole(die: str) -> No
             after[number].append(bench.fetch(number))
         bench.wait(10)
     for number in (0, 1):
-        told = [piece for piece in after[number] if len(piece[0])]
-        assert told[0][2]
-        assert not any(gap for _, _, gap in told[2:])  # the LSM6DSO loses more while the first words are read
-        rows = np.concatenate([counts for counts, _, _ in told])
+        batches = [piece for piece in after[number] if len(piece[0])]
+        assert batches[0][2]
+        assert not any(gap for _, _, gap in batches[2:])  # the LSM6DSO loses more while the first words are read
+        rows = np.concatenate([counts for counts, _, _ in batches])
         assert set(steps(rows, RATES_HZ[die]).tolist()) == {1}
-        times = np.concatenate([times for _, times, _ in told])
+        times = np.concatenate([times for _, times, _ in batches])
         assert times[0] > last_ns[number]
         felt_ns = (rows[:, 0].astype(float) + 30000) / 20 * MS
         taken_ns = felt_ns + (bench.routes[number].header.delay_ns or 0)  # the filter shows an earlier input
@@ -203,10 +203,10 @@ def test_an_interrupted_drain_is_flagged_as_a_gap(die: str) -> None:
         bench.wait(20)
         pieces.append([bench.fetch(number) for number in (0, 1)])
     for number in (0, 1):
-        told = [piece[number] for piece in pieces if len(piece[number][0])]
-        assert told[0][2]
-        assert not any(gap for _, _, gap in told[1:])
-        assert set(steps(np.concatenate([counts for counts, _, _ in told]), RATES_HZ[die]).tolist()) == {1}
+        batches = [piece[number] for piece in pieces if len(piece[number][0])]
+        assert batches[0][2]
+        assert not any(gap for _, _, gap in batches[1:])
+        assert set(steps(np.concatenate([counts for counts, _, _ in batches]), RATES_HZ[die]).tolist()) == {1}
 
 
 @pytest.mark.parametrize("die", RATES_HZ)

@@ -164,7 +164,7 @@ class TestRdwr:
         assert tape.log == [(0x53, 4464), "P"]  # LNX-33
 
     def test_only_the_last_message_may_read_on_a_raspberry_pi(self) -> None:
-        for kind, said in (("bcm2835", errno.EOPNOTSUPP), ("plain", 0), ("gpio", 0)):  # LNX-10
+        for kind, code in (("bcm2835", errno.EOPNOTSUPP), ("plain", 0), ("gpio", 0)):  # LNX-10
             wire = adxl345()
             messages = [
                 i2c_msg.write(0x53, [0]),
@@ -173,8 +173,8 @@ class TestRdwr:
                 i2c_msg.read(0x53, 1),
             ]
             with bus_on(wire, kind) as bus:
-                if said:
-                    assert refusal(bus.i2c_rdwr, *messages) == said
+                if code:
+                    assert refusal(bus.i2c_rdwr, *messages) == code
                     assert wire.transactions == 0
                 else:
                     bus.i2c_rdwr(*messages)

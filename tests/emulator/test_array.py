@@ -188,7 +188,7 @@ def test_parameters_of_a_url_apply() -> None:
 
 
 @pytest.mark.parametrize(
-    ("query", "said"),
+    ("query", "message"),
     [
         ({"wurld": "still"}, "allowed are clock, world, seed, bit_rate, errno, oscillators, pulse_hz, up"),
         ({"wrld": "still"}, r"did you mean world\?"),
@@ -207,8 +207,8 @@ def test_parameters_of_a_url_apply() -> None:
         ({"world": "tumble", "face_s": "0"}, "face_s: 0.0; allowed is anything above 0"),
     ],
 )
-def test_invalid_parameters_are_refused(query: dict[str, str], said: str) -> None:
-    with pytest.raises(ValueError, match=said) as caught:
+def test_invalid_parameters_are_refused(query: dict[str, str], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
         firmware_emulator.open_bus(query, TWELVE)
     assert "\n" not in str(caught.value)
 

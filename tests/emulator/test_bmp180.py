@@ -86,9 +86,9 @@ def test_the_worked_example_is_reproduced():
 )
 def test_pressure_vectors_both_ways(oss, up, pascal):
     assert pressure_function(Bmp180Words(), 2399, oss)[1](up) == pascal
-    found = up_of(Bmp180Words(), 27898, oss, pascal)
-    assert pressure_function(Bmp180Words(), 2399, oss)[1](found) == pascal
-    assert abs(found - up) <= 1 << oss  # neighbouring words give the same pascal
+    result = up_of(Bmp180Words(), 27898, oss, pascal)
+    assert pressure_function(Bmp180Words(), 2399, oss)[1](result) == pascal
+    assert abs(result - up) <= 1 << oss  # neighbouring words give the same pascal
 
 
 @pytest.mark.parametrize(("ut", "tenths"), [(27898, 150), (30000, 313), (24000, -247)])

@@ -305,7 +305,7 @@ def test_invalid_faults_are_refused(array: ArrayConfig, table: dict[str, Any], m
 def test_an_error_names_its_line(array: ArrayConfig, tmp_path: Path) -> None:
     path = tmp_path / "n.toml"
     good = '[[fault]]\nkind = "stuck_bus"\nfor_s = 1\n'
-    for wrong, said in (
+    for wrong, message in (
         ('# two\n[[fault]]\nkind = "stuck_bus"\n# a comment\nfor_s = -1\n', ":8: fault 2: for_s = -1; required"),
         ("[[ fault ]]\nkind = 'reset'\nsensor = 'A'\nwen = 1\n", ":7: fault 2: wen: no such key of reset"),
         ("[[fault]]\nkind = 'stuck_bus'\n", ":4: fault 2: for_s = None; required are seconds"),
@@ -313,7 +313,7 @@ def test_an_error_names_its_line(array: ArrayConfig, tmp_path: Path) -> None:
         path.write_text(good + wrong)
         with pytest.raises(ValueError, match=r"fault 2") as refusal:
             open_bus({"faults": str(path)}, array)
-        assert f"{path}{said}" in str(refusal.value)
+        assert f"{path}{message}" in str(refusal.value)
 
 
 def test_invalid_files_are_refused(array: ArrayConfig, tmp_path: Path) -> None:

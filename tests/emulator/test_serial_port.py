@@ -123,8 +123,8 @@ def test_unread_frames_are_dropped_whole(config: Path) -> None:
             until = time.monotonic() + 5
             while port.dropped < 3 and time.monotonic() < until:
                 time.sleep(0.01)
-            came = [bus.receive() for _ in range(3)]
-            numbers = np.concatenate([samples[0].numbers for samples in came if samples])
+            batches = [bus.receive() for _ in range(3)]
+            numbers = np.concatenate([samples[0].numbers for samples in batches if samples])
         assert port.dropped >= 3
         assert bus.skipped == 0
         assert (np.diff(numbers) > 0).all()

@@ -236,7 +236,7 @@ def test_the_command_prints_how_to_attach_and_serves() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ([str(CONFIG)], "allowed is --usbip or --serial"),
         ([str(CONFIG), "--usbip", "--query", "clock=virtual"], "clock=virtual; allowed is real"),
@@ -247,9 +247,9 @@ def test_the_command_prints_how_to_attach_and_serves() -> None:
     ],
 )
 def test_bad_arguments_are_one_line_and_exit_code_2(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert program.main(arguments) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
-    assert said in lines[0]
+    assert message in lines[0]

@@ -70,13 +70,13 @@ def test_without_block_update_the_bytes_of_a_number_are_of_two_samples(control: 
     """LSM-13: at 100 kHz two bytes are 90 us apart, and a sample comes each 600 us. A number made of the high byte of
     one and the low byte of another is off by 256 counts.
     """
-    bench, found, steps = lsm6dso(control), [], 4.0 * 1000 / 0.061 / 1666
+    bench, result, steps = lsm6dso(control), [], 4.0 * 1000 / 0.061 / 1666
     for _ in range(300):
         bench.wait(0.73)
         x, y, z = words(bench.read(0x28, 6), "<")
-        found += [abs(y - x), abs(z - y)]
-    assert (max(found) > 200) == torn
-    assert torn or max(found) <= steps + 1  # a sample may still come between two axes
+        result += [abs(y - x), abs(z - y)]
+    assert (max(result) > 200) == torn
+    assert torn or max(result) <= steps + 1  # a sample may still come between two axes
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def test_unlink_after_completion_is_answered_with_zero() -> None:
 
 
 @pytest.mark.parametrize(
-    ("frame", "said"),
+    ("frame", "message"),
     [
         (bytes.fromhex("0106 8005 00000000"), "version 0x0106"),
         (bytes.fromhex("0111 8002 00000000"), "operation 0x8002"),
@@ -175,9 +175,9 @@ def test_unlink_after_completion_is_answered_with_zero() -> None:
         (IMPORT_1_2 + SUBMIT_OUT[:12] + b"\0\0\0\x01" + SUBMIT_OUT[16:], "direction 1, does not fit"),
     ],
 )
-def test_invalid_frames_are_refused(frame: bytes, said: str) -> None:
+def test_invalid_frames_are_refused(frame: bytes, message: str) -> None:
     talk, device = conversation()
-    with pytest.raises(ProtocolError, match=said):
+    with pytest.raises(ProtocolError, match=message):
         answers(talk, frame)
     assert device.seen == []
 

@@ -203,17 +203,17 @@ def test_a_failure_writes_no_file(run: Path, monkeypatch: pytest.MonkeyPatch, fa
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (lambda file: file.__setitem__("fused/out", h5py.ExternalLink("/etc/passwd", "/x")), "a link to another"),
         (lambda file: file.__delitem__("fused/time"), "not a fused result"),
         (lambda file: file["fused"].create_dataset("big", (1 << 40,), "i2", chunks=(4,)), "more than this file"),
     ],
 )
-def test_a_hostile_fused_file_is_refused(fused: Path, spoil: Callable[[h5py.File], object], said: str) -> None:
+def test_a_hostile_fused_file_is_refused(fused: Path, spoil: Callable[[h5py.File], object], message: str) -> None:
     with h5py.File(fused, "r+") as file:
         spoil(file)
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(LogError, match=message):
         export(fused, fused.with_name("f.csv"))
     assert [path.name for path in fused.parent.iterdir()] == ["fused.h5"]
 
@@ -221,7 +221,7 @@ def test_a_hostile_fused_file_is_refused(fused: Path, spoil: Callable[[h5py.File
 @pytest.mark.slow
 def test_progress_ends_at_one(run: Path) -> None:
     for suffix in ("csv", "npz", "parquet", "mat", "mcap"):
-        told: list[float] = []
-        export(run, run.with_name(f"p.{suffix}"), progress=told.append, force=True)
-        assert told == sorted(told)
-        assert told[-1] == pytest.approx(1.0) or suffix == "mcap"
+        shares: list[float] = []
+        export(run, run.with_name(f"p.{suffix}"), progress=shares.append, force=True)
+        assert shares == sorted(shares)
+        assert shares[-1] == pytest.approx(1.0) or suffix == "mcap"

@@ -42,8 +42,8 @@ def packed(path: Path, members: Members, kind: int = zipfile.ZIP_DEFLATED) -> Pa
 def array(values: Any, **header: Any) -> bytes:
     """An array as npy, whose header may be false."""
     file = io.BytesIO()
-    said = {"descr": values.dtype.str, "fortran_order": False, "shape": values.shape} | header
-    np.lib.format.write_array_header_1_0(file, said)
+    fields = {"descr": values.dtype.str, "fortran_order": False, "shape": values.shape} | header
+    np.lib.format.write_array_header_1_0(file, fields)
     return file.getvalue() + values.tobytes()
 
 
@@ -117,10 +117,10 @@ def _pickled() -> bytes:
 
 @pytest.mark.parametrize("kind", some(BAD, 15))
 def test_a_bad_npz_is_refused_and_leaves_no_file(tmp_path: Path, members: Members, kind: str) -> None:
-    spoil, said = BAD[kind]
+    spoil, message = BAD[kind]
     with pytest.raises(SourceError, match=r"bad\.npz") as caught:
         back(packed(tmp_path / "bad.npz", members | spoil(members)))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
 
@@ -196,7 +196,7 @@ CSV_BAD = {
 
 @pytest.mark.parametrize("kind", some(CSV_BAD, 2))
 def test_a_bad_csv_is_refused_and_leaves_no_file(run: Path, kind: str) -> None:
-    name, was, becomes, said = CSV_BAD[kind]
+    name, was, becomes, message = CSV_BAD[kind]
     files = export(run, run.with_name("r.csv")).files
     spoilt = run.with_name(name)
     text = spoilt.read_text(encoding="utf-8")
@@ -204,7 +204,7 @@ def test_a_bad_csv_is_refused_and_leaves_no_file(run: Path, kind: str) -> None:
     spoilt.write_text(text.replace(was, becomes), encoding="utf-8")
     with pytest.raises(SourceError) as caught:
         back(run.with_name("r.csv"))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert {path.name for path in run.parent.iterdir()} == {"run.h5", *(file.name for file in files)}
 
 

@@ -21,14 +21,14 @@ from tests.export.conftest import ACC, ACC_COUNTS, EPOCH, MESSAGE, MS
 
 def test_tables_are_structs(run: Path) -> None:
     export(run, run.with_name("r.mat"))
-    found = loadmat(run.with_name("r.mat"), simplify_cells=True)
-    acc = found["Acc"]
+    contents = loadmat(run.with_name("r.mat"), simplify_cells=True)
+    acc = contents["Acc"]
     assert acc["counts"].tolist() == ACC_COUNTS
     assert (acc["counts"].dtype, acc["time_ns"].dtype, acc["status"].dtype) == (np.int16, np.int64, np.uint16)
     assert acc["time_s"].tolist() == [0, 0.01, 0.02, 0.03, 0.04]
     assert acc["units"] == {"counts": "counts", "status": "1", "temperature_counts": "counts"}
     assert json.loads(acc["about_json"])["axes"] == "+Y+X-Z"
-    head = found["imuarray"]
+    head = contents["imuarray"]
     assert (head["epoch"], head["units"]) == (EPOCH, "counts")
     assert list(head["variables"]) == ["Acc", "Baro", "Gyro", "truth", "clocks"]
     assert head["events"]["message"][0] == MESSAGE
@@ -45,9 +45,9 @@ def test_columns_are_n_by_3_or_n_by_1(run: Path) -> None:
 
 def test_a_fused_result_is_a_struct(fused: Path) -> None:
     export(fused, fused.with_name("f.mat"))
-    found = loadmat(fused.with_name("f.mat"), simplify_cells=True)["fused"]
-    np.testing.assert_array_equal(found["specific_force"][0], [0.0, 0.5, 9.8])
-    assert list(found["cells"]["specific_force_covariance"]) == ["xx", "yy", "zz", "xy", "xz", "yz"]
+    contents = loadmat(fused.with_name("f.mat"), simplify_cells=True)["fused"]
+    np.testing.assert_array_equal(contents["specific_force"][0], [0.0, 0.5, 9.8])
+    assert list(contents["cells"]["specific_force_covariance"]) == ["xx", "yy", "zz", "xy", "xz", "yz"]
 
 
 def test_names_of_variables_are_valid_in_matlab(tmp_path: Path) -> None:
@@ -60,8 +60,10 @@ def test_names_of_variables_are_valid_in_matlab(tmp_path: Path) -> None:
     variables = [name for name, _, _ in whosmat(tmp_path / "a.mat")]
     assert len(set(variables)) == 6
     assert all(name.isidentifier() and name.isascii() and name[0].isalpha() for name in variables)
-    found = loadmat(tmp_path / "a.mat", simplify_cells=True)
-    assert {json.loads(found[name]["about_json"])["name"] for name in found["imuarray"]["variables"]} == set(names)
+    contents = loadmat(tmp_path / "a.mat", simplify_cells=True)
+    assert {json.loads(contents[name]["about_json"])["name"] for name in contents["imuarray"]["variables"]} == set(
+        names
+    )
 
 
 def test_a_log_beyond_the_limit_of_the_format_is_refused(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,16 +49,16 @@ def misses(value: Any, schema: Mapping[str, Any], place: str = "") -> list[str]:
     kinds = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
     if not isinstance(value, kinds[schema["type"]]) or isinstance(value, bool):
         return [place]
-    found = [place for bound in ("minimum", "minItems") if bound in schema and _size(value) < schema[bound]]
-    found += [place for bound in ("maximum", "maxItems") if bound in schema and _size(value) > schema[bound]]
+    result = [place for bound in ("minimum", "minItems") if bound in schema and _size(value) < schema[bound]]
+    result += [place for bound in ("maximum", "maxItems") if bound in schema and _size(value) > schema[bound]]
     if schema["type"] == "array":
-        return found + [miss for item in value for miss in misses(item, schema["items"], f"{place}[]")]
+        return result + [miss for item in value for miss in misses(item, schema["items"], f"{place}[]")]
     if schema["type"] == "object":
-        found += [f"{place}.{name}" for name in schema["required"] if name not in value]
-        found += [f"{place}.{name}" for name in value if name not in schema["properties"]]
+        result += [f"{place}.{name}" for name in schema["required"] if name not in value]
+        result += [f"{place}.{name}" for name in value if name not in schema["properties"]]
         inner = [(name, schema["properties"][name]) for name in value if name in schema["properties"]]
-        found += [miss for name, one in inner for miss in misses(value[name], one, f"{place}.{name}")]
-    return found
+        result += [miss for name, one in inner for miss in misses(value[name], one, f"{place}.{name}")]
+    return result
 
 
 def _size(value: Any) -> float:
@@ -141,19 +141,19 @@ def test_every_message_equals_that_of_a_row_by_row_writer(tmp_path: Path, units:
             columns = [column.read(slice(None)).tolist() for column in table.columns]
             for number, (at, *row) in enumerate(zip(*columns, strict=True)):
                 frame = "sensor" if units == "counts" else "box"
-                said = table_message(at + zero_ns, frame, table.columns[1:], row)
-                wanted.append((at + zero_ns, f"/{table.name}", number, json.dumps(said)))
+                text = table_message(at + zero_ns, frame, table.columns[1:], row)
+                wanted.append((at + zero_ns, f"/{table.name}", number, json.dumps(text)))
     with (tmp_path / "long.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        found = [
+        result = [
             (message.log_time, channel.topic, message.sequence, json.dumps(json.loads(message.data)))
             for _, channel, message in reader.iter_messages(log_time_order=False)
         ]
         statistics = reader.get_summary().statistics
-    assert found == sorted(wanted, key=lambda message: message[0])
+    assert result == sorted(wanted, key=lambda message: message[0])
     assert statistics.message_count == len(wanted)
     assert statistics.chunk_count > 1
-    assert (statistics.message_start_time, statistics.message_end_time) == (found[0][0], found[-1][0])
+    assert (statistics.message_start_time, statistics.message_end_time) == (result[0][0], result[-1][0])
 
 
 @pytest.mark.filterwarnings("ignore:(start|end)_time is deprecated")  # the lowest version has no other name

@@ -49,15 +49,15 @@ def test_an_accelerometer_and_a_gyroscope_are_one_imu(still: Path, tmp_path: Pat
     """White noise of sigma at a rate f has the density sigma / sqrt(f); three axes of 12000 rows, the largest: 5 %."""
     written = export(still, tmp_path / "imu.yaml")
     assert written.files == (tmp_path / "imu.yaml",)
-    found = yaml.safe_load((tmp_path / "imu.yaml").read_text())
-    assert found["update_rate"] == pytest.approx(RATE_HZ)
+    figures = yaml.safe_load((tmp_path / "imu.yaml").read_text())
+    assert figures["update_rate"] == pytest.approx(RATE_HZ)
     density = SIGMA / np.sqrt(RATE_HZ)
-    assert found["accelerometer_noise_density"] == pytest.approx(density * 9.80665 / 4096, rel=0.05)
-    assert found["gyroscope_noise_density"] == pytest.approx(density * np.radians(1 / 114.3), rel=0.05)
+    assert figures["accelerometer_noise_density"] == pytest.approx(density * 9.80665 / 4096, rel=0.05)
+    assert figures["gyroscope_noise_density"] == pytest.approx(density * np.radians(1 / 114.3), rel=0.05)
     # White noise alone: of a random walk there is a bound, which is no figure for a program to read.
     text = (tmp_path / "imu.yaml").read_text()
     for name in ("accelerometer", "gyroscope"):
-        assert f"{name}_random_walk" not in found
+        assert f"{name}_random_walk" not in figures
         assert f"# {name}_random_walk: not significant, at most " in text
 
 
@@ -72,9 +72,9 @@ def test_a_random_walk_significant_on_one_axis_is_exported(still: Path, tmp_path
             axis["fit"]["terms"]["random walk"] = seen if index == 1 else unseen
     (tmp_path / "c.json").write_text(json.dumps(result))
     export(tmp_path / "c.json", tmp_path / "i.yaml")
-    found = yaml.safe_load((tmp_path / "i.yaml").read_text())
-    assert found["accelerometer_random_walk"] == pytest.approx(3.0 * 9.80665 / 4096)
-    assert found["gyroscope_random_walk"] == pytest.approx(3.0 * np.radians(1 / 114.3), rel=1e-5)
+    figures = yaml.safe_load((tmp_path / "i.yaml").read_text())
+    assert figures["accelerometer_random_walk"] == pytest.approx(3.0 * 9.80665 / 4096)
+    assert figures["gyroscope_random_walk"] == pytest.approx(3.0 * np.radians(1 / 114.3), rel=1e-5)
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_each_of_several_sensors_has_a_file(still: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[]", "not a result of `imuarray characterise`"),
         ('{"sensors": [{"name": "A"}]}', "not a result of `imuarray characterise`"),
@@ -105,9 +105,9 @@ def test_each_of_several_sensors_has_a_file(still: Path, tmp_path: Path) -> None
         ('{"sensors": []}', "no inertial sensor whose noise could be fitted"),
     ],
 )
-def test_a_file_of_another_kind_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "c.json").write_text(text)
-    with pytest.raises(ExportError, match=said):
+    with pytest.raises(ExportError, match=message):
         export(tmp_path / "c.json", tmp_path / "i.yaml")
     with pytest.raises(ExportError, match="noise figures are in SI"):
         export(tmp_path / "c.json", tmp_path / "i.yaml", units="counts")
@@ -163,12 +163,12 @@ def write_walking_fused(path: Path, rows: int = 20_000) -> Path:
     return path
 
 
-def kalibr_accepts(found: Mapping[str, Any]) -> None:
+def kalibr_accepts(figures: Mapping[str, Any]) -> None:
     """The checks of Kalibr's reader."""
     for key in KALIBR:
-        assert isinstance(found[key], float | int), key
-        assert found[key] > 0, key
-    assert isinstance(found["rostopic"], str)
+        assert isinstance(figures[key], float | int), key
+        assert figures[key] > 0, key
+    assert isinstance(figures["rostopic"], str)
 
 
 @pytest.fixture(scope="module")
@@ -184,14 +184,14 @@ def test_an_imu_has_every_key_of_kalibr(walking: Path, tmp_path: Path, name: str
     """The walk is the largest of three axes over 1000 s: within 40 %."""
     written = export(walking / name, tmp_path / "imu.yaml")
     assert (written.files, written.notes) == ((tmp_path / "imu.yaml",), ())
-    found = yaml.safe_load((tmp_path / "imu.yaml").read_text())
-    kalibr_accepts(found)
-    assert set(found) == {*KALIBR, "rostopic"}
-    assert (found["rostopic"], found["update_rate"]) == (topic, pytest.approx(WALK_RATE_HZ))
-    assert found["accelerometer_noise_density"] == pytest.approx(DENSITY["specific_force"], rel=0.1)
-    assert found["gyroscope_noise_density"] == pytest.approx(DENSITY["angular_rate"], rel=0.1)
-    assert found["accelerometer_random_walk"] == pytest.approx(WALK["specific_force"], rel=0.4)
-    assert found["gyroscope_random_walk"] == pytest.approx(WALK["angular_rate"], rel=0.4)
+    figures = yaml.safe_load((tmp_path / "imu.yaml").read_text())
+    kalibr_accepts(figures)
+    assert set(figures) == {*KALIBR, "rostopic"}
+    assert (figures["rostopic"], figures["update_rate"]) == (topic, pytest.approx(WALK_RATE_HZ))
+    assert figures["accelerometer_noise_density"] == pytest.approx(DENSITY["specific_force"], rel=0.1)
+    assert figures["gyroscope_noise_density"] == pytest.approx(DENSITY["angular_rate"], rel=0.1)
+    assert figures["accelerometer_random_walk"] == pytest.approx(WALK["specific_force"], rel=0.4)
+    assert figures["gyroscope_random_walk"] == pytest.approx(WALK["angular_rate"], rel=0.4)
     assert "inflate" in (tmp_path / "imu.yaml").read_text()
 
 
@@ -212,13 +212,15 @@ def test_openvins_has_the_same_figures_below_imu0(walking: Path, tmp_path: Path)
         export(walking / "log.h5", tmp_path / f"{tool}.yaml", tool=tool)
     first, rest = (tmp_path / "openvins.yaml").read_text().split("\n", 1)
     assert first == "%YAML:1.0"
-    found = yaml.safe_load(rest)["imu0"]
+    figures = yaml.safe_load(rest)["imu0"]
     own = {"T_i_b", "time_offset", "model", "Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC", "Tg"}
-    assert set(found) == own | {*KALIBR, "rostopic"}
-    assert {key: found[key] for key in (*KALIBR, "rostopic")} == yaml.safe_load((tmp_path / "kalibr.yaml").read_text())
-    assert found["T_i_b"] == np.eye(4).tolist()
-    assert found["Tw"] == found["Ta"] == np.eye(3).tolist()
-    assert found["Tg"] == np.zeros((3, 3)).tolist()
+    assert set(figures) == own | {*KALIBR, "rostopic"}
+    assert {key: figures[key] for key in (*KALIBR, "rostopic")} == yaml.safe_load(
+        (tmp_path / "kalibr.yaml").read_text()
+    )
+    assert figures["T_i_b"] == np.eye(4).tolist()
+    assert figures["Tw"] == figures["Ta"] == np.eye(3).tolist()
+    assert figures["Tg"] == np.zeros((3, 3)).tolist()
 
 
 @pytest.mark.slow
@@ -227,12 +229,12 @@ def test_vins_fusion_has_standard_deviations_at_the_rate(walking: Path, tmp_path
     for tool in ("kalibr", "vins-fusion"):
         export(walking / "log.h5", tmp_path / f"{tool}.yaml", tool=tool)
     kalibr = yaml.safe_load((tmp_path / "kalibr.yaml").read_text())
-    found = yaml.safe_load((tmp_path / "vins-fusion.yaml").read_text().split("\n", 1)[1])
-    assert set(found) == {"imu", "imu_topic", "acc_n", "gyr_n", "acc_w", "gyr_w", "g_norm"}
+    figures = yaml.safe_load((tmp_path / "vins-fusion.yaml").read_text().split("\n", 1)[1])
+    assert set(figures) == {"imu", "imu_topic", "acc_n", "gyr_n", "acc_w", "gyr_w", "g_norm"}
     pairs = {"acc_n": KALIBR[0], "acc_w": KALIBR[1], "gyr_n": KALIBR[2], "gyr_w": KALIBR[3]}
     for key, other in pairs.items():
-        assert found[key] == pytest.approx(kalibr[other] * WALK_RATE_HZ**0.5, rel=1e-5)
-    assert (found["imu"], found["imu_topic"], found["g_norm"]) == (1, "/sensors/IMU1", 9.80665)
+        assert figures[key] == pytest.approx(kalibr[other] * WALK_RATE_HZ**0.5, rel=1e-5)
+    assert (figures["imu"], figures["imu_topic"], figures["g_norm"]) == (1, "/sensors/IMU1", 9.80665)
 
 
 @pytest.mark.slow
@@ -264,12 +266,12 @@ def test_gazebo_has_a_sensor_with_noise_on_every_axis(walking: Path, tmp_path: P
     assert float(sensor.findtext("update_rate", "")) == pytest.approx(WALK_RATE_HZ)
     for part, prefix in (("linear_acceleration", "accelerometer"), ("angular_velocity", "gyroscope")):
         for axis in "xyz":
-            told = sensor.find(f"imu/{part}/{axis}/noise")
-            assert told is not None
-            assert told.get("type") == "gaussian"
+            element = sensor.find(f"imu/{part}/{axis}/noise")
+            assert element is not None
+            assert element.get("type") == "gaussian"
             spread = kalibr[f"{prefix}_noise_density"] * WALK_RATE_HZ**0.5
-            assert float(told.findtext("stddev", "")) == pytest.approx(spread, rel=1e-5)
-            walk = float(told.findtext("dynamic_bias_stddev", ""))
+            assert float(element.findtext("stddev", "")) == pytest.approx(spread, rel=1e-5)
+            walk = float(element.findtext("dynamic_bias_stddev", ""))
             assert walk == pytest.approx(kalibr[f"{prefix}_random_walk"], rel=1e-5)
 
 
@@ -280,10 +282,10 @@ def test_px4_has_a_plugin_with_the_figures_of_kalibr(walking: Path, tmp_path: Pa
     kalibr = yaml.safe_load((tmp_path / "kalibr.yaml").read_text())
     plugin = ElementTree.parse(tmp_path / "px4.sdf").getroot()  # noqa: S314, our own file
     assert plugin.get("filename") == "libgazebo_imu_plugin.so"
-    found = {child.tag: child.text for child in plugin if isinstance(child.tag, str)}
+    result = {child.tag: child.text for child in plugin if isinstance(child.tag, str)}
     for prefix in ("accelerometer", "gyroscope"):
-        assert float(found[f"{prefix}NoiseDensity"] or "") == pytest.approx(kalibr[f"{prefix}_noise_density"])
-        assert float(found[f"{prefix}RandomWalk"] or "") == pytest.approx(kalibr[f"{prefix}_random_walk"])
+        assert float(result[f"{prefix}NoiseDensity"] or "") == pytest.approx(kalibr[f"{prefix}_noise_density"])
+        assert float(result[f"{prefix}RandomWalk"] or "") == pytest.approx(kalibr[f"{prefix}_random_walk"])
 
 
 @pytest.mark.parametrize("suffix", some(["yaml", "sdf"], 1))
@@ -340,9 +342,9 @@ def test_noise_of_a_fused_result_is_that_at_rest(tmp_path: Path) -> None:
         file["fused/specific_force"][1300:, 0] += 9.8
     written = export(tmp_path / "still.h5", tmp_path / "f.yaml")
     assert written.rows["fused"] in range(1060, 1201)  # a frame without a force parts what is before the turn
-    found = yaml.safe_load((tmp_path / "f.yaml").read_text())
-    assert found["accelerometer_noise_density"] == pytest.approx(DENSITY["specific_force"], rel=0.15)
-    assert found["gyroscope_noise_density"] == pytest.approx(DENSITY["angular_rate"], rel=0.15)
+    figures = yaml.safe_load((tmp_path / "f.yaml").read_text())
+    assert figures["accelerometer_noise_density"] == pytest.approx(DENSITY["specific_force"], rel=0.15)
+    assert figures["gyroscope_noise_density"] == pytest.approx(DENSITY["angular_rate"], rel=0.15)
 
 
 def test_a_short_fused_result_is_refused(fused: Path) -> None:

@@ -31,10 +31,10 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 def read(path: Path) -> dict[str, list[tuple[int, Any]]]:
     """Messages (time, message) by topic, by Foxglove's reader of ROS 2."""
     reader = pytest.importorskip("mcap_ros2.reader")
-    found: dict[str, list[tuple[int, Any]]] = {}
+    result: dict[str, list[tuple[int, Any]]] = {}
     for message in reader.read_ros2_messages(str(path)):
-        found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
-    return found
+        result.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
+    return result
 
 
 def raw_messages(path: Path) -> Iterator[tuple[str, str, bytes]]:

@@ -27,18 +27,18 @@ FORMATS = ("npz", "csv", "parquet")
 
 def everything(path: Path) -> dict[str, Any]:
     """Every column with its type, every attribute, every text of a log, by h5py alone."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
 
     def look(name: str, item: Any) -> None:
-        found[name] = {key: np.asarray(value).tolist() for key, value in item.attrs.items() if "_LIST" not in key}
+        result[name] = {key: np.asarray(value).tolist() for key, value in item.attrs.items() if "_LIST" not in key}
         if isinstance(item, h5py.Dataset):
             data = item[()]
-            found[name]["is"] = (str(data.dtype), data.tobytes() if data.dtype.kind != "O" else data.tolist())
+            result[name]["is"] = (str(data.dtype), data.tobytes() if data.dtype.kind != "O" else data.tolist())
 
     with h5py.File(path) as file:
         file.visititems(look)
-        found["/"] = {name: np.asarray(value).tolist() for name, value in file.attrs.items()}
-    return found
+        result["/"] = {name: np.asarray(value).tolist() for name, value in file.attrs.items()}
+    return result
 
 
 @pytest.mark.parametrize("suffix", some(FORMATS, 1))
@@ -49,11 +49,11 @@ def test_a_log_round_trips(run: Path, suffix: str) -> None:
 
 def test_one_sensor_round_trips_by_its_table(run: Path) -> None:
     export(run, run.with_name("one.csv"), sensors=["Baro"])
-    came, was = everything(back(run.with_name("one.csv"))), everything(run)
-    assert {name for name in came if name.startswith("sensors/")} == {
+    copy, was = everything(back(run.with_name("one.csv"))), everything(run)
+    assert {name for name in copy if name.startswith("sensors/")} == {
         name for name in was if name.startswith("sensors/Baro")
     }
-    assert all(came[name] == was[name] for name in came if name.startswith("sensors/"))
+    assert all(copy[name] == was[name] for name in copy if name.startswith("sensors/"))
 
 
 def test_the_rows_of_an_interrupted_log_are_exported(tmp_path: Path) -> None:
@@ -65,8 +65,8 @@ def test_the_rows_of_an_interrupted_log_are_exported(tmp_path: Path) -> None:
     export(tmp_path / "a.h5", tmp_path / "a.npz")
     with log:
         pass
-    with open_log(back(tmp_path / "a.npz")) as came:
-        assert came["S"].counts[:].tolist() == [[5, 5, 5]] * 7
+    with open_log(back(tmp_path / "a.npz")) as copy:
+        assert copy["S"].counts[:].tolist() == [[5, 5, 5]] * 7
 
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=8)
@@ -167,15 +167,15 @@ class TestCommand:
         monkeypatch.chdir(tmp_path)
         write_run(Path("run.h5"))
         assert main(["export", "run.h5", "-o", "r.npz", "--json"]) == 0
-        said = json.loads(capsys.readouterr().out)
-        assert (said["source"], said["files"], said["units"]) == ("run.h5", ["r.npz"], "counts")
-        assert said["rows"]["sensors/Gyro"] == 3
+        report = json.loads(capsys.readouterr().out)
+        assert (report["source"], report["files"], report["units"]) == ("run.h5", ["r.npz"], "counts")
+        assert report["rows"]["sensors/Gyro"] == 3
         assert main(["import", "r.npz", "-o", "back.h5"]) == 0
         assert capsys.readouterr().out.startswith("back.h5: 3 sensors, 5 rows at most over 0.0 s\n")
         assert everything(Path("back.h5")) == everything(Path("run.h5"))
 
     @pytest.mark.parametrize(
-        ("arguments", "said"),
+        ("arguments", "message"),
         some(
             [
                 (
@@ -200,7 +200,7 @@ class TestCommand:
         monkeypatch: pytest.MonkeyPatch,
         capsys: pytest.CaptureFixture[str],
         arguments: list[str],
-        said: str,
+        message: str,
     ) -> None:
         monkeypatch.chdir(tmp_path)
         write_run(Path("run.h5"))
@@ -208,7 +208,7 @@ class TestCommand:
         Path("there.csv").write_text("mine")
         assert main(["export", *arguments]) == 2
         captured = capsys.readouterr()
-        assert said in captured.err
+        assert message in captured.err
         assert captured.err.count("\n") == 1
         assert sorted(path.name for path in tmp_path.iterdir()) == ["fused.h5", "run.h5", "there.csv"]
 

@@ -90,8 +90,8 @@ def _left_out(value: ast.expr) -> set[str]:
     """The attributes that a ``Register(...)`` leaves at their defaults."""
     if not isinstance(value, ast.Call):
         return set()
-    said = {*("address", "access")[: len(value.args)], *(keyword.arg for keyword in value.keywords)}
-    return {"access", "reset", "reserved"} - said
+    names = {*("address", "access")[: len(value.args)], *(keyword.arg for keyword in value.keywords)}
+    return {"access", "reset", "reserved"} - names
 
 
 def _wrong(value: ast.expr) -> Iterator[tuple[str, str, ast.expr]]:
@@ -105,26 +105,26 @@ def _wrong(value: ast.expr) -> Iterator[tuple[str, str, ast.expr]]:
 
 
 def _wrong_registers(call: ast.Call) -> Iterator[tuple[str, str, ast.expr]]:
-    said: dict[str, Any] = {"access": "rw", "reset": 0, "reserved": 0}
-    said |= dict(zip(("address", *said), map(ast.literal_eval, call.args), strict=False))
-    said |= {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
+    arguments: dict[str, Any] = {"access": "rw", "reset": 0, "reserved": 0}
+    arguments |= dict(zip(("address", *arguments), map(ast.literal_eval, call.args), strict=False))
+    arguments |= {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
     for fact in ("address", "reset", "reserved"):
         for bit in range(8):
             yield (
                 fact,
-                f"{said[fact]:#04x} -> {said[fact] ^ 1 << bit:#04x}",
-                _register({**said, fact: said[fact] ^ 1 << bit}),
+                f"{arguments[fact]:#04x} -> {arguments[fact] ^ 1 << bit:#04x}",
+                _register({**arguments, fact: arguments[fact] ^ 1 << bit}),
             )
-    for bit in range(3 if "bank" in said else 0):
-        wrong = said["bank"] ^ 1 << bit
-        yield "bank", f"{said['bank']} -> {wrong}", _register({**said, "bank": wrong})
+    for bit in range(3 if "bank" in arguments else 0):
+        wrong = arguments["bank"] ^ 1 << bit
+        yield "bank", f"{arguments['bank']} -> {wrong}", _register({**arguments, "bank": wrong})
     for access in ACCESSES:
-        if access != said["access"]:
-            yield "access", f"{said['access']} -> {access}", _register({**said, "access": access})
+        if access != arguments["access"]:
+            yield "access", f"{arguments['access']} -> {access}", _register({**arguments, "access": access})
 
 
-def _register(said: dict[str, Any]) -> ast.expr:
-    text = ", ".join(f"{key}={value!r}" for key, value in said.items())
+def _register(arguments: dict[str, Any]) -> ast.expr:
+    text = ", ".join(f"{key}={value!r}" for key, value in arguments.items())
     return ast.parse(f"Register({text})", mode="eval").body
 
 
@@ -286,21 +286,21 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Make register facts wrong one by one; count those noticed (minutes).")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     arguments = parser.parse_args()
-    found = run()
+    result = run()
     if arguments.json:
-        print(json.dumps(found, indent=1))
-        return int(bool(found["without_witness"]))
+        print(json.dumps(result, indent=1))
+        return int(bool(result["without_witness"]))
     for kind, text in (("all", "defaults included"), ("stated", "printed in the tables")):
-        share = found[kind]
+        share = result[kind]
         print(f"{share['wrong_facts']} wrong facts ({text}): {share['noticed']:.2%} noticed,", end=" ")
         print(f"by the table check {share['by_tables']:.1%}, by golden conversations {share['by_golden']:.1%}")
-    for entry in found["inert"]:
+    for entry in result["inert"]:
         print(f"inert: {entry['chip']} {entry['fact']} {entry['change']}: {entry['reason']}")
-    for entry in found["without_witness"]:
+    for entry in result["without_witness"]:
         print(f"without witness: {entry['chip']} {entry['fact']} {entry['change']}")
-    for key in found["inert_no_more"]:
+    for key in result["inert_no_more"]:
         print(f"inert no more: {key}")
-    return int(bool(found["without_witness"]))
+    return int(bool(result["without_witness"]))
 
 
 if __name__ == "__main__":

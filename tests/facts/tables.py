@@ -162,52 +162,52 @@ def complaints(chip: str, facts: ModuleType) -> list[str]:
 
 
 def _addresses(chip: str, facts: ModuleType) -> list[str]:
-    found = []
+    problems = []
     if set(facts.ADDRESSES) != ADDRESSES[chip] or len(facts.ADDRESSES) != len(ADDRESSES[chip]):
-        found.append(f"bus addresses {facts.ADDRESSES}")
+        problems.append(f"bus addresses {facts.ADDRESSES}")
     used: dict[int, str] = {}
     for name, register in registers(facts).items():
         if place_of(register) in used:
-            found.append(f"{name} is at {register.address:#04x}, where {used[place_of(register)]} is")
+            problems.append(f"{name} is at {register.address:#04x}, where {used[place_of(register)]} is")
         used[place_of(register)] = name
-    return found
+    return problems
 
 
 def _access(chip: str, facts: ModuleType) -> list[str]:
-    found = []
+    problems = []
     for access, addresses in {"r": READ_ONLY[chip], "w": WRITE_ONLY[chip], "rw": WRITABLE[chip]}.items():
-        said = {place_of(register) for register in registers(facts).values() if register.access == access}
-        if said != addresses:
-            found.append(f"access {access}: registers {sorted(map(hex, said ^ addresses))} disagree")
-    return found
+        places = {place_of(register) for register in registers(facts).values() if register.access == access}
+        if places != addresses:
+            problems.append(f"access {access}: registers {sorted(map(hex, places ^ addresses))} disagree")
+    return problems
 
 
 def _bytes(chip: str, facts: ModuleType) -> list[str]:
     """Resets and reserved masks are bytes, no reset sets a reserved bit, and none is invented."""
-    found = []
+    problems = []
     for name, register in registers(facts).items():
         reset, reserved = register.reset, register.reserved
         if not (0 <= reset <= 0xFF and 0 <= reserved <= 0xFF) or reset & reserved:
-            found.append(f"{name}: reset {reset:#x}, reserved {reserved:#x}")
+            problems.append(f"{name}: reset {reset:#x}, reserved {reserved:#x}")
         if reset and place_of(register) in UNPRINTED.get(chip, ()):
-            found.append(f"{name}: no reset value is printed, {reset:#04x} is said")
-    return found
+            problems.append(f"{name}: no reset value is printed, {reset:#04x} is said")
+    return problems
 
 
 def _tiles(chip: str, facts: ModuleType) -> list[str]:
     """In a register that has named fields, every bit belongs to one field or is reserved, and none to two."""
-    found = []
+    problems = []
     for name, register in registers(facts).items():
         own = {key: field for key, field in fields(facts).items() if field.register == register}
         taken = register.reserved
         for key, field in own.items():
             if taken & field.mask:
-                found.append(f"{key} overlaps another field or reserved bits of {name}")
+                problems.append(f"{key} overlaps another field or reserved bits of {name}")
             taken |= field.mask
         if own and taken != 0xFF:
-            found.append(f"{name}: bits {~taken & 0xFF:#04x} belong to no field")
+            problems.append(f"{name}: bits {~taken & 0xFF:#04x} belong to no field")
         if not own and taken != RESERVED_WITHOUT_FIELDS.get(chip, {}).get(register.address, 0):
-            found.append(f"{name}: reserved {taken:#04x}, which no field bounds")
+            problems.append(f"{name}: reserved {taken:#04x}, which no field bounds")
     known = set(registers(facts).values())
     lost = [key for key, field in fields(facts).items() if field.register not in known]
-    return found + [f"{key}: its register has no name" for key in lost]
+    return problems + [f"{key}: its register has no name" for key in lost]

@@ -16,13 +16,13 @@ SCRIPT = Path(__file__).with_name("mutation.py")
 @pytest.mark.campaign
 def test_every_fact_has_a_witness():
     run = subprocess.run([sys.executable, str(SCRIPT), "--json"], capture_output=True, text=True, timeout=600)
-    found = json.loads(run.stdout)
-    assert found["without_witness"] == []
-    assert found["inert_no_more"] == []
-    assert found["all"]["wrong_facts"] > 3000
-    assert found["all"]["noticed"] > 0.9
-    assert found["stated"]["by_golden"] > 0.5  # the conversations alone, without the table check
-    assert all(entry["reason"] for entry in found["inert"])
+    report = json.loads(run.stdout)
+    assert report["without_witness"] == []
+    assert report["inert_no_more"] == []
+    assert report["all"]["wrong_facts"] > 3000
+    assert report["all"]["noticed"] > 0.9
+    assert report["stated"]["by_golden"] > 0.5  # the conversations alone, without the table check
+    assert all(entry["reason"] for entry in report["inert"])
 
 
 @pytest.mark.slow

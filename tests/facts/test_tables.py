@@ -50,8 +50,8 @@ GOOD = Register(0x00, reserved=0x08)
     ],
 )
 def test_each_kind_of_mistake_is_detected(tables, contents, complaint):
-    found = tables.complaints("pca9544a", table(**contents))
-    assert (found == []) if complaint is None else any(line.startswith(complaint) for line in found)
+    problems = tables.complaints("pca9544a", table(**contents))
+    assert (problems == []) if complaint is None else any(line.startswith(complaint) for line in problems)
 
 
 def test_an_invented_reset_value_is_detected(tables):

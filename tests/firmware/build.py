@@ -156,12 +156,12 @@ class CoreReceiver:
 
     def feed(self, data: bytes) -> list[bytes]:
         """The frames that `data` completes, all of each."""
-        frames, frame, found, start = [], Found(), c_bool(True), 0
+        frames, frame, result, start = [], Found(), c_bool(True), 0
         buffer = ctypes.create_string_buffer(data, max(len(data), 1))
-        while found or start < len(data):
+        while result or start < len(data):
             at = ctypes.addressof(buffer) + start
-            start += self._functions.link_receive(self._receiver, at, len(data) - start, frame, found)
-            if found:
+            start += self._functions.link_receive(self._receiver, at, len(data) - start, frame, result)
+            if result:
                 frames.append(frame.raw[: frame.raw_size])
         return frames
 

@@ -219,16 +219,16 @@ def test_status_counts_skipped_late_and_failed_requests() -> None:
     clock.advance(3 * MS + MS // 2)  # frames 3 and 4 should have begun and ended
     run(firmware, clock, 2)
     firmware.feed(b"noise")
-    found = counts(firmware)
-    assert {name: found[name] for name in ("result", "watchdog", "dropped", "overwritten", "skipped")} == {
+    counters = counts(firmware)
+    assert {name: counters[name] for name in ("result", "watchdog", "dropped", "overwritten", "skipped")} == {
         "result": 0,
         "watchdog": 0,
         "dropped": 0,
         "overwritten": 0,
         "skipped": 5,
     }
-    assert (found["sent"], found["late"], found["failures"]) == (5, 2, 5)
-    assert found["now_us"] == firmware.time_us()
+    assert (counters["sent"], counters["late"], counters["failures"]) == (5, 2, 5)
+    assert counters["now_us"] == firmware.time_us()
     assert len(board.asked) == 5 * 3
 
 
@@ -356,8 +356,8 @@ def test_the_core_and_the_emulated_firmware_send_the_same_bytes(core_firmware: t
         framed(9, 3),
         framed(4, 4, struct.pack("<I", 2500)),
     ]
-    heard = [[firmware.feed(command) for command in commands] for firmware in both]
-    assert heard[0] == heard[1]
+    answers = [[firmware.feed(command) for command in commands] for firmware in both]
+    assert answers[0] == answers[1]
     for _ in range(50):
         sent = []
         for firmware in both:

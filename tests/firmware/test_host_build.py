@@ -184,10 +184,10 @@ def test_detect_reports_the_counts_of_the_firmware(
     assert counts["skipped"] == 5
     assert (counts["late"], counts["dropped"], counts["watchdog_reset"]) == (0, 0, False)
     assert 0 < counts["up_us"] < 60e6
-    said = capsys.readouterr().out
-    assert f"{counts['sent']} frames sent, 0 skipped for lack of time, 0 dropped because the line was full" in said
-    assert f"{counts['failures']} requests failed, 5 bytes not understood" in said
-    assert "1 of 1 as configured, 0 not" in said
+    output = capsys.readouterr().out
+    assert f"{counts['sent']} frames sent, 0 skipped for lack of time, 0 dropped because the line was full" in output
+    assert f"{counts['failures']} requests failed, 5 bytes not understood" in output
+    assert "1 of 1 as configured, 0 not" in output
 
 
 @pytest.mark.slow

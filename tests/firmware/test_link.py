@@ -78,8 +78,8 @@ def test_the_core_and_python_read_the_same_frames_on_a_bad_line(
 ) -> None:
     data = b"".join(noise + wire(frame) for noise, frame in sent)
     receiver, deframer = CoreReceiver(core), Deframer()
-    heard = [raw for piece in pieces(data, cuts) for raw in receiver.feed(piece)] + receiver.pause()
-    assert heard == [wire(frame) for frame in deframer.feed(data, final=True)]
+    whole_frames = [raw for piece in pieces(data, cuts) for raw in receiver.feed(piece)] + receiver.pause()
+    assert whole_frames == [wire(frame) for frame in deframer.feed(data, final=True)]
 
 
 @settings(deadline=None)
@@ -88,9 +88,9 @@ def test_the_core_and_python_read_the_same_frames_on_a_bad_line(
 @example(data=b"\xa5\x5a\xff\xff" * 300, cuts=[1])
 def test_any_bytes_in_pieces_of_any_length_are_skipped_or_are_frames(core: Core, data: bytes, cuts: list[int]) -> None:
     receiver = CoreReceiver(core)
-    heard = [raw for piece in pieces(data, cuts) for raw in receiver.feed(piece)] + receiver.pause()
-    assert all(raw in data and Deframer().feed(raw) for raw in heard)
-    assert CoreReceiver(core).feed(data) == heard[: len(CoreReceiver(core).feed(data))]
+    frames = [raw for piece in pieces(data, cuts) for raw in receiver.feed(piece)] + receiver.pause()
+    assert all(raw in data and Deframer().feed(raw) for raw in frames)
+    assert CoreReceiver(core).feed(data) == frames[: len(CoreReceiver(core).feed(data))]
 
 
 def test_a_payload_that_is_too_long_is_no_frame(core: Core) -> None:

@@ -229,15 +229,15 @@ def _fetch(driver: Any, script: Script, conversation: Conversation) -> None:
             break
         script.sleep_until(script.now_ns() + POLL_NS)
     decoded = driver.decode(np.frombuffer(bursts, np.uint8).reshape(-1, driver.burst))
-    found = {"counts": decoded.counts.tolist()}
-    found |= {name: ((decoded.status & FLAGS[name]) != 0).tolist() for name in ("stale", "saturated", "suspect")}
+    result = {"counts": decoded.counts.tolist()}
+    result |= {name: ((decoded.status & FLAGS[name]) != 0).tolist() for name in ("stale", "saturated", "suspect")}
     if decoded.temperature_counts is not None:
-        found["temperature_counts"] = decoded.temperature_counts.tolist()
-    found |= {name: _numbers(values) for name, values in decoded.compensated.items()}
+        result["temperature_counts"] = decoded.temperature_counts.tolist()
+    result |= {name: _numbers(values) for name, values in decoded.compensated.items()}
     meant = {key: value for key, value in meaning.content.items() if key not in ("source", "times")}
     for key, value in {**meant, "counts": wanted}.items():
-        if found.get(key) != value:
-            raise DifferenceError(f"{meaning.place}: {key} {found.get(key)}, expected {value} ({meaning.source})")
+        if result.get(key) != value:
+            raise DifferenceError(f"{meaning.place}: {key} {result.get(key)}, expected {value} ({meaning.source})")
 
 
 def _numbers(values: Any) -> list[float | None]:
@@ -281,12 +281,12 @@ def play_to_chip(conversation: Conversation) -> None:
         for entry in conversation.head.get("auxiliary", ()):  # on the bus of its own master
             chip.auxiliary.devices.append(CHIPS[entry["chip"]](int(entry["address"], 16), element, 0))
         wire.connect(chip)
-    said = [*(conversation.before or conversation).head.get("dirty", ())]
-    if said:
+    writes = [*(conversation.before or conversation).head.get("dirty", ())]
+    if writes:
         clock.sleep_until(100 * MS)
-    for text in said:
+    for text in writes:
         wire.transfer(conversation.address, bytes.fromhex(text))
-    if said:
+    if writes:
         clock.sleep_until(1000 * MS)
     for part in (conversation.before, conversation):
         for line in part.transactions if part else ():
@@ -306,7 +306,7 @@ def _say(wire: Wire, clock: VirtualClock, line: Line) -> None:
     if line.refused:
         raise DifferenceError(f"{line.place}: {_words(line.asked)}: acknowledged, and should not be ({line.source})")
     settled = zip(answer, line.read, line.mask, strict=True)
-    if any((found ^ expected) & mask for found, expected, mask in settled):
+    if any((result ^ expected) & mask for result, expected, mask in settled):
         expected = line.read.hex(" ")
         raise DifferenceError(
             f"{line.place}: {_words(line.asked)}: {answer.hex(' ')}, expected {expected} ({line.source})"

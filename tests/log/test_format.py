@@ -132,8 +132,8 @@ class TestXarray:
         with xarray.open_dataset(small, engine="h5netcdf", group="sensors/Gyro") as gyro:
             np.testing.assert_allclose(gyro.counts[0], np.radians([8.75, 0.0, -8.75]))  # 8.75 mdps per count: L3G-40
             assert gyro.counts.attrs["units"] == "rad s-1"
-            said = "readers that apply scale_factor (xarray) show rad s-1. unit, dps, is that of range and sensitivity"
-            assert said in gyro.attrs["comment"]
+            text = "readers that apply scale_factor (xarray) show rad s-1. unit, dps, is that of range and sensitivity"
+            assert text in gyro.attrs["comment"]
         with xarray.open_dataset(small, engine="h5netcdf", group="sensors/Baro") as baro:
             np.testing.assert_array_equal(baro.pressure, [69963.0, 69970.0])
             np.testing.assert_array_equal(baro.counts, [[27898, 190744], [27900, 190750]])

@@ -91,11 +91,11 @@ def test_no_damaged_log_does_harm(small: Path, tmp_path: Path, kind: str, count:
     done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=600)
     at = (folder / "number").read_text()
     assert done.returncode == 0, f"number {at}: ended with {done.returncode}: {done.stderr[-2000:]}"
-    said = re.match(r"\d+ logs: (\d+) let in, slowest ([\d.]+) s, (\d+) MiB", done.stdout)
-    assert said
-    assert 0 < int(said[1]) < count  # some are harmless, some are not
+    match = re.match(r"\d+ logs: (\d+) let in, slowest ([\d.]+) s, (\d+) MiB", done.stdout)
+    assert match
+    assert 0 < int(match[1]) < count  # some are harmless, some are not
     # HDF5 allocates the size that the descriptor of a text declares, 32 bits at most, before it reads a shorter text.
-    assert int(said[3]) < (400 if count < 100 else 2048)
+    assert int(match[3]) < (400 if count < 100 else 2048)
 
 
 @pytest.mark.slow

@@ -34,9 +34,9 @@ from imuarray.log.health import Health, Observations, health_of, is_trouble
     ],
 )
 def test_the_worst_fault_decides_the_level_and_is_named_first(seen: Observations, health: Health) -> None:
-    found = health_of(seen)
-    assert (found.level, found.reason) == (health.level, health.reason)
-    assert (found.advice == "") == (found.level == "green")
+    result = health_of(seen)
+    assert (result.level, result.reason) == (health.level, health.reason)
+    assert (result.advice == "") == (result.level == "green")
 
 
 def test_the_advice_is_for_the_first_reason() -> None:

@@ -42,8 +42,8 @@ def refusal(path: Path) -> str:
 
 @pytest.mark.parametrize("kind", some(KINDS, 4))
 def test_hostile_logs_are_refused(small: Path, kind: str) -> None:
-    said = built(small, kind)
-    assert said in refusal(small)
+    message = built(small, kind)
+    assert message in refusal(small)
 
 
 def journal(path: Path, text: bytes, rest: bytes = b"", *, length: int | None = None) -> Path:
@@ -188,11 +188,11 @@ def test_control_characters_are_escaped(small: Path, capsys: pytest.CaptureFixtu
         file["sensors/Acc"].attrs["chip"] = "\x9b31mchip"
         file.attrs["software"] = "a\u202eb"
     assert main(["info", str(small)]) == 0
-    said = capsys.readouterr().out
-    assert r"\x1b[2J gone\r\n" in said
-    assert r"\x9b31mchip" in said
-    assert r"a\u202eb" in said
-    assert said.replace("\n", "").isprintable()
+    output = capsys.readouterr().out
+    assert r"\x1b[2J gone\r\n" in output
+    assert r"\x9b31mchip" in output
+    assert r"a\u202eb" in output
+    assert output.replace("\n", "").isprintable()
 
 
 SOURCE = Path(__file__).parents[2]
@@ -205,14 +205,14 @@ PICKLES = re.compile(
 @pytest.mark.slow
 def test_nothing_is_unpickled() -> None:
     """Files are data: no module loads executable objects."""
-    found = [
+    result = [
         f"{path.name}: {line.strip()}"
         for folder in ("imuarray", "firmware_emulator")
         for path in sorted((SOURCE / folder).rglob("*.py"))
         for line in path.read_text(encoding="utf-8").splitlines()
         if PICKLES.search(line)
     ]
-    assert found == []
+    assert result == []
 
 
 def test_a_log_of_too_many_sensors_is_not_written(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ def test_the_rows_of_a_part_have_their_own_wall_time(small: Path, capsys: pytest
         for sensor in file["sensors"].values():
             sensor["time"][:] += 3_600_000_000_000  # the second part of a log that began an hour before
     assert main(["info", str(small), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["epoch"] == "2013-09-16T08:30:00.000000Z"
-    assert (told["begins"], told["ends"]) == ("2013-09-16T09:30:00.000Z", "2013-09-16T09:30:00.090Z")
+    report = json.loads(capsys.readouterr().out)
+    assert report["epoch"] == "2013-09-16T08:30:00.000000Z"
+    assert (report["begins"], report["ends"]) == ("2013-09-16T09:30:00.000Z", "2013-09-16T09:30:00.090Z")
     assert main(["info", str(small)]) == 0
     assert "rows from 2013-09-16T09:30:00.000Z to 2013-09-16T09:30:00.090Z" in capsys.readouterr().out
 

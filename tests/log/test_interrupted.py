@@ -183,13 +183,13 @@ def test_without_its_journal_a_log_is_recovered_only_with_force(run: Path, capsy
     assert main(["verify", str(run)]) == 2
     assert missing in capsys.readouterr().err
     assert main(["info", str(run)]) == 0
-    told = capsys.readouterr().out
-    assert missing in told
-    assert "all that was acknowledged" not in told
+    output = capsys.readouterr().out
+    assert missing in output
+    assert "all that was acknowledged" not in output
     assert main(["recover", str(run)]) == 2
-    said = capsys.readouterr().err
-    assert "copy run.h5 and run.h5.journal together" in said
-    assert len(said.splitlines()) == 1
+    errors = capsys.readouterr().err
+    assert "copy run.h5 and run.h5.journal together" in errors
+    assert len(errors.splitlines()) == 1
     assert run.read_bytes() == before
     assert main(["recover", str(run), "--force"]) == 0
     check_damaged(run, 210)
@@ -403,9 +403,9 @@ class TestVerify:
     @pytest.mark.slow
     def test_a_good_log_is_verified(self, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["verify", str(finished), "--json"]) == 0
-        found = json.loads(capsys.readouterr().out)
-        assert (found["log"], found["good"], found["state"]) == (str(finished), True, "finished")
-        assert (found["rows"], found["problems"], found["remarks"]) == ({"Acc": ROWS, "Baro": 23}, [], [])
+        report = json.loads(capsys.readouterr().out)
+        assert (report["log"], report["good"], report["state"]) == (str(finished), True, "finished")
+        assert (report["rows"], report["problems"], report["remarks"]) == ({"Acc": ROWS, "Baro": 23}, [], [])
 
     def test_an_interrupted_log_is_verified(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["verify", str(run)]) == 0
@@ -424,10 +424,10 @@ class TestVerify:
         finished.write_bytes(content)
         assert main(["verify", str(finished)]) == 2
         name = column.rsplit("/", 1)[-1]
-        said = capsys.readouterr()
-        assert "damaged" in said.err
-        assert len(said.err.splitlines()) == 1
-        assert name in said.err or "damaged or malformed" in said.err
+        streams = capsys.readouterr()
+        assert "damaged" in streams.err
+        assert len(streams.err.splitlines()) == 1
+        assert name in streams.err or "damaged or malformed" in streams.err
 
     def test_missing_chunks_and_decreasing_times_are_problems(self, finished: Path) -> None:
         with h5py.File(finished, "r+") as file:

@@ -188,11 +188,11 @@ def test_blocks_after_a_bad_sector_are_read(tmp_path: Path) -> None:
     content = bytearray(written(tmp_path / "r.h5", ROWS))
     content[5120:5632] = b"\x55" * 512
     journal_of(tmp_path / "r.h5").write_bytes(content)
-    found = read(tmp_path / "r.h5")
+    blocks = read(tmp_path / "r.h5")
     begin = len(content) - len(ROWS) * SIZE
-    assert found[: (5120 - begin) // SIZE] == ROWS[: (5120 - begin) // SIZE]
-    assert found[-1] == ROWS[-1]
-    assert len(ROWS) - 512 // SIZE - 3 <= len(found) < len(ROWS)
+    assert blocks[: (5120 - begin) // SIZE] == ROWS[: (5120 - begin) // SIZE]
+    assert blocks[-1] == ROWS[-1]
+    assert len(ROWS) - 512 // SIZE - 3 <= len(blocks) < len(ROWS)
 
 
 @pytest.mark.parametrize("length", [SIZE - 1, 12, 11, 5, 1])

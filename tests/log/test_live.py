@@ -465,7 +465,7 @@ HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2
 
 
 @pytest.mark.parametrize(
-    ("number", "kind", "said"),
+    ("number", "kind", "message"),
     [
         (28, DiskFullError, "no space left on the disk; nothing was recorded; free space or choose another disk"),
         (27, DiskFullError, "no space left: the limit on the length of a file is reached; nothing was recorded"),
@@ -475,11 +475,11 @@ HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2
 )
 @pytest.mark.parametrize("raised", [OSError, RuntimeError])
 def test_errors_of_hdf5_are_shortened_to_one_line(
-    number: int, kind: type[LogError], said: str, raised: type[Exception]
+    number: int, kind: type[LogError], message: str, raised: type[Exception]
 ) -> None:
     error = disk_space.unwritable(Path("run.h5"), raised(HDF5_TEXT.format(number)))
     assert type(error) is kind
-    assert str(error).startswith(f"run.h5: {said}")
+    assert str(error).startswith(f"run.h5: {message}")
     assert len(str(error).splitlines()) == 1
 
 

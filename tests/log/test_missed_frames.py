@@ -101,9 +101,9 @@ def test_the_count_from_rows_equals_that_of_the_logger(tmp_path: Path, rate_hz: 
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=rate_hz, seconds=1.0)
     with open_log(tmp_path / "run.h5") as log:
         assert log.frame_rate_hz == rate_hz
-        found = frame_timing(log).missed
+        timing = frame_timing(log).missed
     assert (summary.missed > 200) is (rate_hz > 400)
-    assert found == summary.missed
+    assert timing == summary.missed
 
 
 @pytest.mark.parametrize(
@@ -247,13 +247,13 @@ def test_the_frame_rate_is_an_attribute_of_the_log(tmp_path: Path, kept: bool) -
         assert (log.frame_rate_hz, frame_timing(log).missed) == (12.5, 0)
 
 
-@pytest.mark.parametrize("said", [None, "fast", -3.0, float("nan"), float("inf"), [50.0, 50.0], True])
-def test_invalid_frame_rates_are_ignored(tmp_path: Path, said: object) -> None:
+@pytest.mark.parametrize("message", [None, "fast", -3.0, float("nan"), float("inf"), [50.0, 50.0], True])
+def test_invalid_frame_rates_are_ignored(tmp_path: Path, message: object) -> None:
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z") as writer:
         writer.append("Acc", Block(np.arange(3), np.zeros((3, 3), np.int16), np.zeros(3, np.uint16)))
-    if said is not None:
+    if message is not None:
         with h5py.File(path, "a") as file:
-            file.attrs["frame_rate_hz"] = said
+            file.attrs["frame_rate_hz"] = message
     with open_log(path) as log:
         assert (log.frame_rate_hz, frame_timing(log).missed) == (0.0, None)

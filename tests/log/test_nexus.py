@@ -33,9 +33,9 @@ def test_the_first_plot_is_the_first_triad(small: Path) -> None:
 def test_every_nxdata_group_is_valid(small: Path) -> None:
     """A signal that exists, an axis for each of its dimensions, each as long as that; others of its shape."""
     with h5py.File(small) as file:
-        found = [file["truth"], *file["plots"].values()]
-        assert len(found) == 4
-        for group in found:
+        result = [file["truth"], *file["plots"].values()]
+        assert len(result) == 4
+        for group in result:
             signal = group[group.attrs["signal"]]
             axes = list(group.attrs["axes"])
             assert len(axes) == signal.ndim

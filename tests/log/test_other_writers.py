@@ -113,6 +113,6 @@ def test_fuse_names_a_quantity_without_a_reading(tmp_path: Path, capsys: pytest.
         del file["sensors/A/time"], file["sensors/A/counts"]
         file["sensors/A/time"], file["sensors/A/counts"] = time[:0], counts[:0]
     assert main(["fuse", str(path), "-o", str(tmp_path / "f.h5")]) == 0
-    said = capsys.readouterr().out
-    assert "specific_force: no frame has a value, because A had no valid reading near the time of a frame" in said
-    assert "angular_rate: no frame" not in said
+    output = capsys.readouterr().out
+    assert "specific_force: no frame has a value, because A had no valid reading near the time of a frame" in output
+    assert "angular_rate: no frame" not in output

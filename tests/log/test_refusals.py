@@ -77,20 +77,20 @@ def test_damaged_metadata_are_refused_or_omitted(tmp_path: Path, small_bytes: by
     path = tmp_path / "damaged.h5"
     places = [match.start() for match in re.finditer(rb"OHDR|OCHK|FRHP|FHDB|BTHD|BTLF|GCOL", small_bytes)]
     assert len(places) > 20
-    refused = told = 0
+    refused = partial = 0
     for place in places:
         spoilt_bytes = bytearray(small_bytes)
         spoilt_bytes[place + 6] ^= 0x21
         path.write_bytes(spoilt_bytes)
         try:
             with Log(path) as log:
-                told += bool(log.losses)
+                partial += bool(log.losses)
                 _ = log.phases, log.events, log.truth, log.epoch
         except LogError as error:
             refused += 1
             assert len(str(error).splitlines()) == 1
     assert refused > 5  # its root, or an object that is read here
-    assert told > 10  # a sensor is left out, the others can be read
+    assert partial > 10  # a sensor is left out, the others can be read
 
 
 def test_other_hdf5_files_are_refused(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
 
 @pytest.mark.filterwarnings("ignore::imuarray.errors.LogWarning")  # the texts are not those that were written
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "text"),
     [
         (delete("sensors"), "group sensors is missing or empty"),
         (replace("sensors", 5), "group sensors is missing or empty"),
@@ -232,9 +232,9 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         ),
     ],
 )
-def test_malformed_logs_are_refused(small: Path, spoil: Spoil, said: str) -> None:
+def test_malformed_logs_are_refused(small: Path, spoil: Spoil, text: str) -> None:
     message = refusal(spoilt(small, spoil))
-    assert re.search(said, message), message
+    assert re.search(text, message), message
 
 
 def test_a_kept_refusal_does_not_block_other_threads(small: Path) -> None:
@@ -292,7 +292,7 @@ def unknown_filter(file: h5py.File) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "text"),
     [
         (
             replace("sensors/Acc/counts", h5py.ExternalLink("/etc/passwd", "/x")),
@@ -312,9 +312,9 @@ def unknown_filter(file: h5py.File) -> None:
         (circular, "sensors/Acc/again: reached twice"),
     ],
 )
-def test_hostile_logs_are_refused(small: Path, spoil: Spoil, said: str) -> None:
+def test_hostile_logs_are_refused(small: Path, spoil: Spoil, text: str) -> None:
     message = refusal(spoilt(small, spoil))
-    assert re.search(said, message), message
+    assert re.search(text, message), message
 
 
 @pytest.mark.filterwarnings("ignore::imuarray.errors.LogWarning")  # the tables are not those that were written

@@ -71,11 +71,11 @@ def bursts(rows: int, rate_hz: float, seed: int = 0) -> tuple[npt.NDArray[np.flo
 
 @pytest.mark.parametrize(("every", "stall_s"), [(51, 2.83), (7, 0.4), (200, 11.0)])
 def test_periodic_stalls_are_described_with_their_period(tmp_path: Path, every: int, stall_s: float) -> None:
-    found = timing_of(tmp_path / "log.h5", stalling(every * 40, every, 0.017, stall_s))
-    assert (found.kind, found.period_rows, found.gaps) == ("stalls", every, 39)
-    assert found.gap_s == pytest.approx(stall_s, rel=1e-6)
-    assert found.gaps_s == pytest.approx(39 * stall_s, rel=1e-6)
-    (note,) = notes_of([("Acc", found), ("Gyro", found)])
+    timing = timing_of(tmp_path / "log.h5", stalling(every * 40, every, 0.017, stall_s))
+    assert (timing.kind, timing.period_rows, timing.gaps) == ("stalls", every, 39)
+    assert timing.gap_s == pytest.approx(stall_s, rel=1e-6)
+    assert timing.gaps_s == pytest.approx(39 * stall_s, rel=1e-6)
+    (note,) = notes_of([("Acc", timing), ("Gyro", timing)])
     assert note.startswith(f"Acc, Gyro: rows stall for {stall_s:.3g} s after every {every} rows: no rows in ")
     assert note.endswith("between the stalls they are 17 ms apart (58.82 Hz).")
 
@@ -85,9 +85,9 @@ def test_stalls_without_a_period_are_counted(tmp_path: Path, share: float, perio
     """A share of stalls follows 20 rows, the others 30."""
     lengths = np.where(np.arange(60) % 10 < round(10 * share), 20, 30)
     stalls = np.repeat(np.arange(60), lengths)
-    found = timing_of(tmp_path / "log.h5", np.arange(len(stalls)) * 0.01 + stalls * 1.0)
-    assert (found.kind, found.period_rows) == ("stalls", period_rows)
-    assert ("59 times" in found.sentence) == (period_rows == 0)
+    timing = timing_of(tmp_path / "log.h5", np.arange(len(stalls)) * 0.01 + stalls * 1.0)
+    assert (timing.kind, timing.period_rows) == ("stalls", period_rows)
+    assert ("59 times" in timing.sentence) == (period_rows == 0)
 
 
 @pytest.mark.parametrize(
@@ -110,10 +110,10 @@ def test_rows_that_are_late_occasionally_are_no_stall(tmp_path: Path, stalls: in
 def test_bursts_are_described_with_the_rate_of_the_readings(tmp_path: Path, rate_hz: float) -> None:
     read_s, arrived_s = bursts(12_000, rate_hz)
     with open_log(log_with(tmp_path / "log.h5", arrived_s)) as log:
-        found, line = row_timing(log["S"]), even_rows(log["S"])
-        assert found.kind == "bursts"
-        assert found.rate_hz == pytest.approx(rate_hz, rel=2e-3)
-        assert f"The true rate is {found.rate_hz:.4g} Hz" in found.sentence
+        result, line = row_timing(log["S"]), even_rows(log["S"])
+        assert result.kind == "bursts"
+        assert result.rate_hz == pytest.approx(rate_hz, rel=2e-3)
+        assert f"The true rate is {result.rate_hz:.4g} Hz" in result.sentence
         even_s = line.stamps(0, 12_000) * 1e-9
         apart_s = even_s - read_s
         assert (
@@ -177,11 +177,11 @@ def test_bursts_are_compared_at_the_times_of_their_readings(tmp_path: Path) -> N
     line = 300 * np.sin(2 * np.pi * 20.0 * read_s)
     counts = np.rint(np.random.default_rng(4).normal([0, 0, 8000], 9, (12_000, 3)) + line[:, None]).astype(np.int16)
     with open_log(log_with(tmp_path / "log.h5", arrived_s, counts)) as log:
-        found = recording_of(log)
-        assert any("rows arrive in bursts" in note for note in found.notes)
-        _, timeline = found.experiment.plan.sensors["S"]
+        result = recording_of(log)
+        assert any("rows arrive in bursts" in note for note in result.notes)
+        _, timeline = result.experiment.plan.sensors["S"]
         assert isinstance(timeline, EvenRows)
-        (source,) = sources_of(found).values()
+        (source,) = sources_of(result).values()
         begin_ns, end_ns = 20 * 10**9, 100 * 10**9
         blocks = list(source.blocks(begin_ns, end_ns))
         assert sum(len(block.time) for block in blocks) == source.rows(begin_ns, end_ns) == pytest.approx(7944, abs=2)

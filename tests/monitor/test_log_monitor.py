@@ -252,8 +252,8 @@ def test_sensors_with_a_queue_or_a_low_rate_have_their_own_period(log_path: Path
         writer.append("Baro", rows("Baro", 0.0, 6.0, 250_000_000))
     with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
-    told = {view.name: (view.framed, view.missed) for view in seen.sensors if view.rows}
-    assert told == {"Acc": (False, 5), "Turned": (True, 0), "Baro": (False, 0)}
+    views = {view.name: (view.framed, view.missed) for view in seen.sensors if view.rows}
+    assert views == {"Acc": (False, 5), "Turned": (True, 0), "Baro": (False, 0)}
 
 
 def test_quiet_time_and_free_space_are_reported(logger: Logger, log_path: Path) -> None:
@@ -477,14 +477,14 @@ def test_a_dead_sensor_is_shown_without_values(log_path: Path, frame_rate_hz: fl
                 seen = along.refresh(float(second))
         late = fully_counted(log_path)
     finished = fully_counted(log_path)
-    assert [found.state for found in (seen, late, finished)] == ["being written", "being written", "finished"]
-    for found in (seen, late, finished):
-        dead = sensor(found, "Turned")
+    assert [result.state for result in (seen, late, finished)] == ["being written", "being written", "finished"]
+    for result in (seen, late, finished):
+        dead = sensor(result, "Turned")
         assert dead.silent_s == pytest.approx(16.0)
         assert (dead.rows, dead.rate_hz, dead.missed, len(dead.time)) == (400, 0.0, 1600, 0)
         assert np.isnan(dead.mean).all() and np.isnan(dead.sd).all() and not dead.flags
-        assert (found.missed, found.rate_hz, found.ends_ns) == (0, pytest.approx(100.0), 19_990_000_000)
-        assert [view.silent_s for view in found.sensors if view.name != "Turned"] == [None, None, None]
+        assert (result.missed, result.rate_hz, result.ends_ns) == (0, pytest.approx(100.0), 19_990_000_000)
+        assert [view.silent_s for view in result.sensors if view.name != "Turned"] == [None, None, None]
 
 
 def fully_counted(path: Path) -> Snapshot:
@@ -497,12 +497,12 @@ def test_a_sensor_is_silent_after_a_second_and_returns(logger: Logger, log_path:
     logger.go_on(4.0)
     with LogMonitor(log_path) as watch:
         watch.refresh(0.0)
-        told = []
+        states = []
         for without in (("Gyro",), ("Gyro",), ("Gyro",), ()):
             logger.go_on(0.9, without=without)
             gyro = sensor(watch.refresh(1.0), "Gyro")
-            told.append((gyro.silent_s, gyro.missed, bool(np.isfinite(gyro.mean).all())))
-        assert told == [(None, 0, True), (1.8, 180, False), (2.7, 270, False), (None, 270, True)]
+            states.append((gyro.silent_s, gyro.missed, bool(np.isfinite(gyro.mean).all())))
+        assert states == [(None, 0, True), (1.8, 180, False), (2.7, 270, False), (None, 270, True)]
 
 
 def test_the_fused_noise_excludes_a_dead_sensor(logger: Logger, log_path: Path) -> None:

@@ -131,15 +131,15 @@ def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None
 def test_another_address_requires_the_token(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     logger.go_on(1.0)
     with served(log_path, "--host", "0.0.0.0") as (printed, _):  # noqa: S104
-        found = re.fullmatch(r"http://[^/]+:(\d+)/\?token=([\w-]{32})", printed)
-        assert found is not None
-        address = f"http://127.0.0.1:{found[1]}/"
+        match = re.fullmatch(r"http://[^/]+:(\d+)/\?token=([\w-]{32})", printed)
+        assert match is not None
+        address = f"http://127.0.0.1:{match[1]}/"
         for part in ("", "page.js", "snapshot.json", "figures.json", "nothing"):
             assert asked(address, part).status == 403
-            assert asked(f"{address}?token={found[2][:-1]}", part).status == 403
-        page = asked(f"{address}?token={found[2]}")
-        assert page.status == 200 and f"page.js?token={found[2]}" in page.text
-        assert asked(f"{address}?token={found[2]}", "snapshot.json").status == 200
+            assert asked(f"{address}?token={match[2][:-1]}", part).status == 403
+        page = asked(f"{address}?token={match[2]}")
+        assert page.status == 200 and f"page.js?token={match[2]}" in page.text
+        assert asked(f"{address}?token={match[2]}", "snapshot.json").status == 200
 
 
 @pytest.mark.slow

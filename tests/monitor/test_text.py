@@ -102,14 +102,14 @@ def test_durations_are_written_with_units(seconds: float, words: str) -> None:
 
 def test_json_contains_the_same_figures(ended: Path) -> None:
     with LogMonitor(ended) as watch:
-        found = described(watch.refresh(0.0))
-    json.dumps(found, allow_nan=False)
-    assert (found["state"], found["missed"], found["delayed"], found["counted"]) == ("finished", 5, 0, 1.0)
-    assert (found["begins_s"], found["ends_s"]) == (0.0, 12.04)
-    acc = found["sensors"][0]
+        table = described(watch.refresh(0.0))
+    json.dumps(table, allow_nan=False)
+    assert (table["state"], table["missed"], table["delayed"], table["counted"]) == ("finished", 5, 0, 1.0)
+    assert (table["begins_s"], table["ends_s"]) == (0.0, 12.04)
+    acc = table["sensors"][0]
     assert (acc["name"], acc["rows"], acc["mean"], acc["temperature_degc"]) == ("Acc", 1200, [0.25, -0.5, 1.0], 28.0)
     assert acc["peak_use_percent"] == pytest.approx([6.262, 12.512, 25.012], abs=1e-3)
-    force = found["fused"]["quantities"]["specific_force"]
+    force = table["fused"]["quantities"]["specific_force"]
     assert force["unit"] == "mg"
     assert force["mean"] == pytest.approx([250, -500, 1000], abs=0.5)
 
@@ -120,17 +120,17 @@ def test_curves_keep_the_extremes_of_every_piece(ended: Path) -> None:
     view = snapshot.sensors[0]
     spiked = view.values.copy()
     spiked[517, 1] = 3.5
-    found = drawn(dataclasses.replace(snapshot, sensors=(dataclasses.replace(view, values=spiked),)))
-    trace = found["sensors"][0]["trace"]
+    table = drawn(dataclasses.replace(snapshot, sensors=(dataclasses.replace(view, values=spiked),)))
+    trace = table["sensors"][0]["trace"]
     assert len(trace["t"]) == len(trace["x"]) <= 2 * DRAWN
     assert trace["t"] == sorted(trace["t"])
     assert -10.1 < trace["t"][0] < -9.8 and trace["t"][-1] <= 0
     assert max(trace["y"]) == 3.5
     at_s = trace["t"][trace["y"].index(3.5)]
     assert at_s == pytest.approx((view.time[517] - view.time[-1]) * 1e-9, abs=0.1)
-    density = found["sensors"][0]["density"]
+    density = table["sensors"][0]["density"]
     assert density["f"][0] > 0 and density["f"][-1] == pytest.approx(50, abs=0.01)
-    assert found["sensors"][0]["density_unit"] == "mg"
+    assert table["sensors"][0]["density_unit"] == "mg"
     # the spectrum was of the log: a count (1000/2048 mg) up and down, in a bin of half a Hann window's width
     assert max(density["x"]) == density["x"][-1]
 
@@ -164,8 +164,8 @@ def test_a_dead_sensor_is_silent_in_the_table(died: Path, capsys: pytest.Capture
 
 def test_a_dead_sensor_is_silent_in_json(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", str(died), "--json", "--once"]) == 0
-    told = {view["name"]: view for view in json.loads(capsys.readouterr().out)["sensors"]}
-    acc, turned = told["Acc"], told["Turned"]
+    output = {view["name"]: view for view in json.loads(capsys.readouterr().out)["sensors"]}
+    acc, turned = output["Acc"], output["Turned"]
     assert (acc["silent_s"], acc["missed"]) == (None, 0)
     assert (turned["silent_s"], turned["rate_hz"], turned["missed"], turned["flags"]) == (49.0, 0.0, 4900, {})
     assert (turned["mean"], turned["sd"], turned["use_percent"]) == ([None] * 3, [None] * 3, None)
@@ -187,12 +187,12 @@ def test_monitor_ends_with_the_log(ended: Path, capsys: pytest.CaptureFixture[st
 def test_json_has_the_documented_keys(ended: Path) -> None:
     """Those of the module's docstring, and no other."""
     with LogMonitor(ended) as watch:
-        found = described(watch.refresh(0.0))
+        table = described(watch.refresh(0.0))
     promised = set(re.findall(r"`(\w+)`", payload.__doc__ or ""))
-    told = set(found) | set(found["disk"]) | set(found["sensors"][0]) | set(found["recent"][0]) | set(found["fused"])
-    told |= set(found["repeated"][0]) | set(found["health"])
-    told |= set(found["fused"]["quantities"]["angular_rate"])
-    assert told == promised
+    keys = set(table) | set(table["disk"]) | set(table["sensors"][0]) | set(table["recent"][0]) | set(table["fused"])
+    keys |= set(table["repeated"][0]) | set(table["health"])
+    keys |= set(table["fused"]["quantities"]["angular_rate"])
+    assert keys == promised
 
 
 def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
@@ -209,12 +209,12 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
         "        5.0 s  5 times since 1.0 s, Acc lost: no reading at 5.5 s",
     ]
     assert snapshot.problems == 5
-    found = described(snapshot)
-    assert [(one["kind"], one["count"], one["first_s"], one["trouble"]) for one in found["repeated"]] == [
+    table = described(snapshot)
+    assert [(one["kind"], one["count"], one["first_s"], one["trouble"]) for one in table["repeated"]] == [
         ("bus", 5, 1.0, False),
         ("lost", 5, 1.0, True),
     ]
-    assert found["health"] == {
+    assert table["health"] == {
         "level": "amber",
         "reason": "5 faults of Acc reported (readings lost)",
         "advice": "read the events, which say why",

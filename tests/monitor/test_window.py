@@ -46,8 +46,8 @@ def test_a_delayed_frame_is_counted_once_and_is_not_missing() -> None:
     time = frames(np.arange(500))
     time[[70, 300]] += PERIOD_NS * 4 // 10
     time[150] += PERIOD_NS // 10  # that much is usual
-    found = gaps_of(time, PERIOD_NS)
-    assert (found.delayed, found.missed) == (2, 0)
+    gaps = gaps_of(time, PERIOD_NS)
+    assert (gaps.delayed, gaps.missed) == (2, 0)
 
 
 @given(

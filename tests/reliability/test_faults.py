@@ -61,9 +61,9 @@ class Faults:
         flagged = time[(status & flag) != 0]
         index = np.searchsorted(flagged, self.begin)
         assert (index < len(flagged)).all()
-        found: Times = flagged[index]
-        assert (found[:-1] < self.begin[1:]).all()
-        return found
+        result: Times = flagged[index]
+        assert (result[:-1] < self.begin[1:]).all()
+        return result
 
     def told(self, kind: str, sensor: str = "") -> Times:
         """For each fault the delay in ns until an event of that kind; it must come before the next fault."""

@@ -43,14 +43,14 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> list[Call]:
     numbers = [str(number) for number in (FRAMES, BATCH, CHUNK)]
     program = [sys.executable, "-m", "tests.reliability.storage_rows", str(folder / "disk"), *numbers]
     subprocess.run(program, check=True, cwd=ROOT, env=environment, timeout=120)
-    found = read_calls(folder / "calls")
+    calls = read_calls(folder / "calls")
     disk = Disk()
-    for call in found:
+    for call in calls:
         disk.apply(call)
     left = {path.name: path.read_bytes() for path in (folder / "disk").iterdir()}
     assert disk.now() == left  # no call was missed
     assert set(left) == {"run.h5", "acknowledged", "synced"}
-    return found
+    return calls
 
 
 def look(folder: Path, image: dict[str, bytes], before: dict[str, bytes]) -> tuple[int, list[str]] | None:
@@ -78,17 +78,17 @@ def test_a_log_opens_after_every_prefix_of_the_calls(calls: list[Call], tmp_path
         if place % every and place < len(calls):
             continue
         image = disk.now()
-        found = look(tmp_path, image, before)
+        content = look(tmp_path, image, before)
         before = image
         acknowledged = number(image, "acknowledged")
-        if found is None:
+        if content is None:
             assert acknowledged == 0
             continue
         looked += 1
-        assert found[1] == []
-        assert found[0] >= acknowledged
+        assert content[1] == []
+        assert content[0] >= acknowledged
     print(f"{len(calls)} calls, {writes} of them writes; {looked} logs after a prefix of them: all open, none wrong")
-    assert found == (FRAMES, [])
+    assert content == (FRAMES, [])
 
 
 @pytest.mark.parametrize("count", some([50, 400], 0, 1))
@@ -103,16 +103,16 @@ def test_a_log_opens_after_power_cuts(calls: list[Call], tmp_path: Path, count: 
         synced = number(disk.now(), "synced")
         image = disk.after_power_cut(draw)
         try:
-            found = look(tmp_path, image, before)
+            content = look(tmp_path, image, before)
         except LogError as error:
             pytest.fail(f"after {cut} calls: {error}")
         before = image
-        if found is None:
+        if content is None:
             assert synced == 0
             continue
         looked += 1
-        assert found[1] == []
-        assert found[0] >= synced, f"after {cut} calls {synced} frames were synced, {found[0]} are left"
+        assert content[1] == []
+        assert content[0] >= synced, f"after {cut} calls {synced} frames were synced, {content[0]} are left"
     print(f"{count} power cuts, {looked} with a log: all open, no synced frame lost, nothing made up")
 
 

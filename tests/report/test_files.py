@@ -74,11 +74,11 @@ def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_failed_sensors_are_reported(made: Path, tmp_path: Path) -> None:
-    told = FaultEvent(1_500_000_000, "specific_force", "B<1>", ("x",), "range_reset", "isolated", 8.0, 40.0, range=2.0)
-    back = replace(told, time_ns=9_000_000_000, state="readmitted")
+    event = FaultEvent(1_500_000_000, "specific_force", "B<1>", ("x",), "range_reset", "isolated", 8.0, 40.0, range=2.0)
+    back = replace(event, time_ns=9_000_000_000, state="readmitted")
     frames = FusedBlock(np.arange(50) * 20_000_000, {"specific_force": np.zeros((50, 3))})
     fused, page = tmp_path / "fused.h5", tmp_path / "page.html"
-    write_fused(fused, [frames], epoch="2024-01-01T00:00:00Z", technique="optimal", log="r.h5", events=[told, back])
+    write_fused(fused, [frames], epoch="2024-01-01T00:00:00Z", technique="optimal", log="r.h5", events=[event, back])
     write_report([fused], page)
     text = page.read_text()
     assert "fused.h5: excluded for part of the time because they failed: B&lt;1&gt;." in text

@@ -98,9 +98,9 @@ def test_the_page_has_no_external_resource(text: str) -> None:
 
 def test_drawings_have_no_external_resource(text: str) -> None:
     """Addresses in them are names of namespaces or vocabularies; references lead to the drawing itself."""
-    found = drawings(Page(text))
-    assert len(found) == 4
-    for drawing in found:
+    svgs = drawings(Page(text))
+    assert len(svgs) == 4
+    for drawing in svgs:
         assert "<script" not in drawing and "<image" not in drawing
         assert all(target.startswith("#") for target in re.findall(r"(?<![:\w])(?:xlink:)?href=\"([^\"]*)\"", drawing))
         body = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)

@@ -40,8 +40,8 @@ class Constant:
         seconds = time_ns * 1e-9
 
         def column(value: Any, *width: int) -> Floats:
-            found = value(seconds) if callable(value) else value
-            return np.broadcast_to(np.asarray(found, float), (len(seconds), *width))
+            result = value(seconds) if callable(value) else value
+            return np.broadcast_to(np.asarray(result, float), (len(seconds), *width))
 
         return Felt(
             time_ns,

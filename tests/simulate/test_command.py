@@ -225,9 +225,9 @@ def test_sensors_missing_in_the_model_are_reported(tmp_path: Path, capsys: pytes
     assert (
         simulate("martin2013", "--model", model, "--only", "Gyro1,BMA1", "--seconds", 2, "-o", tmp_path / "r.h5") == 0
     )
-    said = capsys.readouterr().err
-    assert "model small has no parameters for BMA1, Gyro1: simulated as ideal" in said
-    assert "its sensors Gyro7 are not in this array" in said
+    errors = capsys.readouterr().err
+    assert "model small has no parameters for BMA1, Gyro1: simulated as ideal" in errors
+    assert "its sensors Gyro7 are not in this array" in errors
 
 
 @pytest.fixture
@@ -283,15 +283,15 @@ def test_progress_lines_are_printed_without_a_terminal_also_during_a_long_step(
     from imuarray.commands import options
 
     monkeypatch.setattr(options, "_EVERY_S", 0.01)
-    said = ""
+    output = ""
     with options.Steps() as steps:
         steps.begin("reading")
-        while "reading: 0 s\n" not in said:
-            said += capsys.readouterr().err
+        while "reading: 0 s\n" not in output:
+            output += capsys.readouterr().err
         with steps.bar(4) as tell:
             tell(2)
-            while "reading: 2 of 4 in 0 s, 0 s left\n" not in said:
-                said += capsys.readouterr().err
+            while "reading: 2 of 4 in 0 s, 0 s left\n" not in output:
+                output += capsys.readouterr().err
     assert not steps._thread.is_alive()
 
 

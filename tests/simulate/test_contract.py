@@ -265,8 +265,8 @@ def test_random_draws_depend_only_on_seed_and_boot(bench: Bench, name: str) -> N
 
     assert differing(after(seed=5, boot=2), after(seed=5, boot=2)) == set()
     for key in ("seed", "boot"):
-        found = set().union(*(differing(after(), after(**{key: number})) for number in range(10, 20)))
-        assert bool(found) == (name in RANDOM)
+        result = set().union(*(differing(after(), after(**{key: number})) for number in range(10, 20)))
+        assert bool(result) == (name in RANDOM)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -298,8 +298,8 @@ def test_any_block_alone_equals_that_of_the_whole(bench: Bench, name: str) -> No
     part = passed(harmful(name), bench.stages(begin - reach, end), bench.place())
     for (column, long), (_, short) in zip(columns(whole), columns(part), strict=True):
         if isinstance(short, np.ndarray) and len(short) > 1:
-            wanted, found = long[3000:], short[reach:]
-            close = np.allclose(found, wanted, rtol=1e-9, atol=1e-12) if found.dtype.kind == "f" else found == wanted
+            wanted, result = long[3000:], short[reach:]
+            close = np.allclose(result, wanted, rtol=1e-9, atol=1e-12) if result.dtype.kind == "f" else result == wanted
             assert np.all(close), column
 
 
@@ -319,5 +319,5 @@ def test_rows_computed_alone_equal_those_of_their_chunk(name: str | None) -> Non
         assert isinstance(whole, SimulatedSensor)
         assert isinstance(alone, SimulatedSensor)
         for first, stop in itertools.pairwise(cuts):
-            for wanted, found in zip(whole.block(first, stop), alone.block(first, stop, Demand.APART), strict=True):
-                np.testing.assert_array_equal(found, wanted)
+            for wanted, result in zip(whole.block(first, stop), alone.block(first, stop, Demand.APART), strict=True):
+                np.testing.assert_array_equal(result, wanted)

@@ -258,7 +258,7 @@ def drawn(header: SensorHeader, effect: str, parameter: str, unit: int) -> Float
     """The parameter of one virtual unit; tables of one kind added up."""
     without = frozenset(EFFECTS) - {effect}
     effects = MODEL.effects(_named(header, f"U{unit}"), Streams(11), without=without)
-    return np.sum([np.atleast_1d(getattr(found, parameter)) for found in effects], axis=0, dtype=float)
+    return np.sum([np.atleast_1d(getattr(result, parameter)) for result in effects], axis=0, dtype=float)
 
 
 def _named(header: SensorHeader, name: str) -> SensorHeader:
@@ -280,14 +280,14 @@ def test_two_thousand_units_have_the_tolerances_of_the_data_sheet(
     """
     header = sensor(chip, range_=range_)
     units = np.array([drawn(header, printed.effect, printed.parameter, unit) for unit in range(UNITS)])
-    found = units[:, printed.axes].ravel() - printed.mean
+    result = units[:, printed.axes].ravel() - printed.mean
     rounding = 1e-4 * (printed.limit + abs(printed.mean))
-    assert np.abs(found).max() <= printed.limit + rounding
+    assert np.abs(result).max() <= printed.limit + rounding
     if printed.sigma:
         cut = printed.limit / printed.sigma
         sigma = printed.sigma * truncnorm(-cut, cut).std()
-        assert found.mean() == pytest.approx(0.0, abs=4.4 * sigma / sqrt(len(found)) + rounding)
-        assert found.std() == pytest.approx(sigma, rel=4.4 / sqrt(2 * len(found)) + 1e-4)
+        assert result.mean() == pytest.approx(0.0, abs=4.4 * sigma / sqrt(len(result)) + rounding)
+        assert result.std() == pytest.approx(sigma, rel=4.4 / sqrt(2 * len(result)) + 1e-4)
 
 
 @pytest.mark.parametrize(

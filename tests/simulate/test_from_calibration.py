@@ -98,8 +98,8 @@ def test_the_effects_reproduce_the_calibrations_map(
     unit = measured(header, response, g_sensitivity_lsb_per_g=pull, temperature_degc=31.5)
     model = parse_model(calibrated(designs, Calibration({"S1": unit}), [header]).to_toml())
     wanted = stimulus @ response.T + force @ pull.T + np.array([10.5, -300.25, 7.125])
-    found = counts_of(model, header, stimulus, force, 31.5, place, analog)
-    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+    counts = counts_of(model, header, stimulus, force, 31.5, place, analog)
+    assert counts == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("really", ["-X+Y+Z", "+Y+X+Z", "+Z+X+Y", "-X-Y-Z", "+X-Z+Y"])
@@ -119,9 +119,9 @@ def test_wrongly_mounted_axes_become_an_axis_error(
     model = calibrated(EMPTY, Calibration({"S1": unit}), [header])
     assert model.sensors[0].effects["axis_error"] == ({"axes": really},)
     stimulus, force = rng.normal(0, 700, (FORCE_ROWS, 3)), rng.normal(0, 1, (FORCE_ROWS, 3))
-    found = counts_of(model, header, stimulus, force, 25.0, place, analog)
+    counts = counts_of(model, header, stimulus, force, 25.0, place, analog)
     wanted = stimulus @ response.T + force @ pull.T + unit.bias_lsb
-    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+    assert counts == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 
 def test_known_angles_and_scales_are_recovered(sensor: MakeSensor) -> None:
@@ -249,11 +249,11 @@ def test_measured_slopes_are_the_models_slopes(
     thermal = sloped(lag_s=80.0, lag_interval_s=np.array([60.0, 100.0]))
     unit = measured(header, header.sensitivity * np.eye(3), thermal=thermal, temperature_degc=measured_at)
     model = parse_model(calibrated(designs, Calibration({"S1": unit}), [header]).to_toml())
-    found = counts_of(
+    counts = counts_of(
         replace(model, designs=()), header, np.zeros((FORCE_ROWS, 3)), np.zeros((FORCE_ROWS, 3)), 42.0, place, analog
     )
     more = [38.4, -12.0, 48.0] if measured_at is None else [48.4, -22.0, 88.0]
-    assert found == pytest.approx(np.tile(unit.bias_lsb + more, (FORCE_ROWS, 1)), rel=1e-9)
+    assert counts == pytest.approx(np.tile(unit.bias_lsb + more, (FORCE_ROWS, 1)), rel=1e-9)
     assert ThermalLag(80.0) in model.effects(header, Streams(0))
 
 
@@ -333,7 +333,7 @@ def test_a_model_of_an_unknown_chip_states_its_unit(sensor: MakeSensor) -> None:
     made = calibrated(EMPTY, Calibration({"S1": measured(header, 2050 * np.eye(3))}), [header])
     again = parse_model(made.to_toml())
     assert again.sensors[0].unit == "g"
-    found = {effect.name: effect for effect in again.effects(header, Streams(0))}
-    np.testing.assert_allclose(found["scale"].error, 2050 / 2048 - 1, rtol=1e-6)  # type: ignore[attr-defined]
+    result = {effect.name: effect for effect in again.effects(header, Streams(0))}
+    np.testing.assert_allclose(result["scale"].error, 2050 / 2048 - 1, rtol=1e-6)  # type: ignore[attr-defined]
     gyroscope = replace(header, quantity="angular_rate", unit="dps")
     assert again.effects(gyroscope, Streams(0)) == ()

@@ -83,8 +83,8 @@ def test_waits_are_recovered(tmp_path: Path, sensors: int) -> None:
 
 def test_two_waits_in_one_frame_are_recovered(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", 5, {(100, 1): 3 * MS, (100, 3): 4 * MS, (201, 4): 2 * MS, (201, 0): MS}) as log:
-        found = [halves_of(line) if isinstance(line, DelayedTimes) else {} for line in lines_of(log).values()]
-        assert found == [
+        result = [halves_of(line) if isinstance(line, DelayedTimes) else {} for line in lines_of(log).values()]
+        assert result == [
             {201: pytest.approx(MS // 2)},
             {100: pytest.approx(1.5 * MS)},
             {},

@@ -81,8 +81,8 @@ def kinds(effects: tuple[Effect, ...]) -> list[str]:
 
 
 def one(kind: type[Effect], effects: tuple[Effect, ...]) -> Effect:
-    (found,) = (effect for effect in effects if isinstance(effect, kind))
-    return found
+    (result,) = (effect for effect in effects if isinstance(effect, kind))
+    return result
 
 
 def drawn(text: str, sensor: SensorHeader, seed: int = 1, **how: bool) -> tuple[Effect, ...]:
@@ -106,9 +106,9 @@ def test_an_effect_is_taken_from_the_most_specific_table(
     effects = drawn(GOOD, sensor("bma180", name, range_), population=population)
     assert kinds(effects) == ["scale", "bias", "white_noise"]  # in physical order, not the file's
     assert one(Bias, effects) == Bias(bias)  # type: ignore[arg-type]
-    found = one(WhiteNoise, effects)
-    assert isinstance(found, WhiteNoise)
-    assert found.rms[0] == noise
+    result = one(WhiteNoise, effects)
+    assert isinstance(result, WhiteNoise)
+    assert result.rms[0] == noise
 
 
 def test_a_sensor_table_applies_only_to_its_chip(sensor: MakeSensor) -> None:
@@ -182,9 +182,9 @@ def test_noise_scales_with_the_root_of_the_bandwidth(
     head = f'[model]\nname = "m"\n[[design]]\nchip = "{chip}"\n'
     noise = f"white_noise.rms_{header.unit} = {printed}\n"
     assert one(WhiteNoise, drawn(head + noise, header)) == WhiteNoise(printed)  # type: ignore[arg-type]
-    found = one(WhiteNoise, drawn(head + f"noise_bandwidth_hz = {at_hz}\n" + noise, header))
-    assert isinstance(found, WhiteNoise)
-    assert found.rms == pytest.approx((expected,) * 3, rel=tolerance)
+    result = one(WhiteNoise, drawn(head + f"noise_bandwidth_hz = {at_hz}\n" + noise, header))
+    assert isinstance(result, WhiteNoise)
+    assert result.rms == pytest.approx((expected,) * 3, rel=tolerance)
 
 
 def changed(before: str, after: str) -> str:
@@ -286,9 +286,9 @@ def test_a_refusal_is_one_line_that_names_the_place(tmp_path: Path, text: str, c
     assert message.startswith(str(path))
     assert "\n" not in message
     assert len(message) < 2000
-    found = re.sub(re.escape(str(path)) + r"(:\d+)?: ", "", message)
+    rest = re.sub(re.escape(str(path)) + r"(:\d+)?: ", "", message)
     with pytest.raises(ConfigError, match=f"^{complaint}"):
-        raise ConfigError(found)
+        raise ConfigError(rest)
 
 
 def test_all_mistakes_in_effects_name_their_lines(tmp_path: Path) -> None:

@@ -47,9 +47,9 @@ class TestSpelled:
     @pytest.mark.parametrize("name", EFFECTS)
     @pytest.mark.parametrize("unit", UNITS)
     def test_each_parameter_has_one_key(self, name: str, unit: str) -> None:
-        found = spelled(EFFECTS[name], unit)
-        assert [item.name for item in found.values()] == [*(item.name for item in fields(EFFECTS[name])[1:]), "spans"]
-        assert not any("{" in key for key in found)
+        result = spelled(EFFECTS[name], unit)
+        assert [item.name for item in result.values()] == [*(item.name for item in fields(EFFECTS[name])[1:]), "spans"]
+        assert not any("{" in key for key in result)
 
 
 class TestToTable:

@@ -23,8 +23,8 @@ KEYS = spelled(WhiteNoise, "g")
 
 def values(figure: Figure, sensor: SensorHeader, seed: int = 0) -> list[float]:
     """The draws of a sensor for a figure of three axes."""
-    found = drawn({"rms_g": figure}, KEYS, "white_noise", sensor, Streams(seed))["rms_g"]
-    return list(found)
+    result = drawn({"rms_g": figure}, KEYS, "white_noise", sensor, Streams(seed))["rms_g"]
+    return list(result)
 
 
 @given(
@@ -38,8 +38,8 @@ def test_a_unit_is_at_the_quantile_of_the_truncated_normal(
 ) -> None:
     """A normal redrawn until it lies within the limit is the truncated normal, by definition of the latter."""
     population = truncnorm(-cut, cut, loc=mean, scale=sigma)
-    found = Spread(mean=mean, sigma=sigma, limit=cut * sigma).at(deviate)
-    assert found == pytest.approx(population.ppf(norm.cdf(deviate)), abs=1e-6 * sigma)
+    result = Spread(mean=mean, sigma=sigma, limit=cut * sigma).at(deviate)
+    assert result == pytest.approx(population.ppf(norm.cdf(deviate)), abs=1e-6 * sigma)
 
 
 def test_without_a_limit_draws_end_at_three_sigma() -> None:
@@ -59,12 +59,12 @@ def test_a_population_without_spread_gives_the_mean(spread: Spread) -> None:
 def test_draws_are_those_of_repeated_normals(sensor: MakeSensor) -> None:
     """Kolmogorov-Smirnov on 6000 draws at a fixed seed; one seed of a thousand would fail."""
     spread = Spread(mean=-1.0, sigma=0.5, limit=1.0)
-    found = np.array([values(spread, sensor(name=f"S{number}"), seed=5) for number in range(2000)])
+    result = np.array([values(spread, sensor(name=f"S{number}"), seed=5) for number in range(2000)])
     again = np.random.default_rng(8).normal(-1.0, 0.5, 200_000)
     again = again[np.abs(again + 1.0) <= 1.0]
-    assert kstest(found.ravel(), again).pvalue > 1e-3
-    assert np.abs(found + 1.0).max() <= 1.0
-    axes = np.corrcoef(found.T)[~np.eye(3, dtype=bool)]
+    assert kstest(result.ravel(), again).pvalue > 1e-3
+    assert np.abs(result + 1.0).max() <= 1.0
+    axes = np.corrcoef(result.T)[~np.eye(3, dtype=bool)]
     assert np.abs(axes).max() < 4.4 / np.sqrt(2000)  # 4.4 sigma: three pairs, one false alarm in 30 000 seeds
 
 

@@ -44,27 +44,27 @@ def simulation(array: ArrayConfig, seconds: float = 30.0, motion: Any = None, **
 
 
 def datasets(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     with h5py.File(path) as file:
-        file.visititems(lambda name, item: found.update({name: item[...]}) if isinstance(item, h5py.Dataset) else None)
-    return found
+        file.visititems(lambda name, item: result.update({name: item[...]}) if isinstance(item, h5py.Dataset) else None)
+    return result
 
 
 def shape(path: Path) -> dict[str, Any]:
     """The structure of a log: datasets with kind and width, groups with the names of their attributes."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
 
     def note(name: str, item: Any) -> None:
         attributes = {key: np.asarray(value).shape for key, value in item.attrs.items()}
         if isinstance(item, h5py.Dataset):
-            found[name] = (item.dtype.str, item.shape[1:], item.chunks, item.compression, attributes)
+            result[name] = (item.dtype.str, item.shape[1:], item.chunks, item.compression, attributes)
         else:
-            found[name] = attributes
+            result[name] = attributes
 
     with h5py.File(path) as file:
-        found["/"] = sorted(file.attrs)
+        result["/"] = sorted(file.attrs)
         file.visititems(note)
-    return found
+    return result
 
 
 @pytest.mark.slow
@@ -118,11 +118,11 @@ def test_phases_and_truth_are_written(array: ArrayConfig, tmp_path: Path) -> Non
 
 
 def test_progress_reaches_the_total_and_an_existing_log_is_not_overwritten(array: ArrayConfig, tmp_path: Path) -> None:
-    heard: list[int] = []
+    counts: list[int] = []
     made = simulation(array, 3.0)
-    write_log(made, tmp_path / "run.h5", progress=heard.append)
-    assert heard == sorted(heard)
-    assert heard[-1] == total_rows(made)
+    write_log(made, tmp_path / "run.h5", progress=counts.append)
+    assert counts == sorted(counts)
+    assert counts[-1] == total_rows(made)
     with pytest.raises(OutputExistsError):
         write_log(made, tmp_path / "run.h5")
 

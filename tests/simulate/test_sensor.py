@@ -41,9 +41,9 @@ def simulation(
 
 
 def sensor(*arguments: Any, **options: Any) -> SimulatedSensor:
-    found = simulation(*arguments, **options).sensors["S"]
-    assert isinstance(found, SimulatedSensor)
-    return found
+    simulated = simulation(*arguments, **options).sensors["S"]
+    assert isinstance(simulated, SimulatedSensor)
+    return simulated
 
 
 def test_an_ideal_sensor_reads_the_data_sheets_test_vector(constant: Any) -> None:
@@ -199,15 +199,15 @@ def test_sensors_share_the_signal_after_the_effects_they_begin_with() -> None:
 
 
 def test_a_dropped_row_is_missing_and_the_next_row_is_flagged(constant: Any) -> None:
-    found = noisy_sensor(constant())
-    block, lost = found.block(0, found.rows), found.lost_rows(0, found.rows)
-    assert 0 < len(lost) < 0.05 * found.rows
-    assert len(block.time) + len(lost) == found.rows
-    stamps = found.timeline.stamps(0, found.rows)
+    simulated = noisy_sensor(constant())
+    block, lost = simulated.block(0, simulated.rows), simulated.lost_rows(0, simulated.rows)
+    assert 0 < len(lost) < 0.05 * simulated.rows
+    assert len(block.time) + len(lost) == simulated.rows
+    stamps = simulated.timeline.stamps(0, simulated.rows)
     assert not np.isin(stamps[lost], block.time).any()
     after = np.setdiff1d(lost + 1, lost)
     flagged = block.time[(block.status & LOST_BEFORE) != 0]
-    np.testing.assert_array_equal(flagged, stamps[after[after < found.rows]])
+    np.testing.assert_array_equal(flagged, stamps[after[after < simulated.rows]])
 
 
 @dataclass(frozen=True)
@@ -222,9 +222,9 @@ class _Gone(Effect):
 
 
 def test_a_loss_at_the_edge_of_a_chunk_is_flagged(constant: Any) -> None:
-    found = sensor(constant(), "l3g4200d", (_Gone(),), rate_hz=400.0, seconds=(CHUNK + 100) / 400.0)
-    block = found.block(CHUNK - 10, CHUNK + 10)
-    stamps = found.timeline.stamps(0, found.rows)
+    simulated = sensor(constant(), "l3g4200d", (_Gone(),), rate_hz=400.0, seconds=(CHUNK + 100) / 400.0)
+    block = simulated.block(CHUNK - 10, CHUNK + 10)
+    stamps = simulated.timeline.stamps(0, simulated.rows)
     rows = np.searchsorted(stamps, block.time)
     np.testing.assert_array_equal((block.status & LOST_BEFORE) != 0, rows % 5 == 1)
 
@@ -238,9 +238,9 @@ def test_a_barometer_measures_temperature_and_pressure(
 ) -> None:
     text = f'[array]\nname = "a"\n[[sensor]]\nname = "P"\nchip = "{chip}"\naddress = 0x77'
     plan = plan_of(parse_array(text), 50.0, 100.0)
-    found = Simulation(plan, constant(temperature_degc=31.4, pressure_pa=98_000.0), {}).sensors["P"]
-    assert isinstance(found, SimulatedBarometer)
-    block = found.block(0, found.rows)
+    result = Simulation(plan, constant(temperature_degc=31.4, pressure_pa=98_000.0), {}).sensors["P"]
+    assert isinstance(result, SimulatedBarometer)
+    block = result.block(0, result.rows)
     assert block.counts.dtype == np.int32
     np.testing.assert_allclose(block.compensated["temperature"], 31.4, atol=1.1 * step_degc)
     pressure = block.compensated["pressure"]
@@ -291,10 +291,10 @@ def test_a_sensor_can_be_read_in_the_place_of_another(constant: Any) -> None:
     """
     plan = plan_of(parse_array(CROSSED), 50.0, 1.0)
     motion = constant(force_box=(1 * 9.80665, 2 * 9.80665, 3 * 9.80665))
-    found = Simulation(plan, motion, {"A": (ChannelSwap("B", "place"),)})
-    assert found.sensors["A"].block(0, 1).counts.tolist() == [[-512, 256, 768]]
-    assert found.sensors["A"].header.axes == "+X+Y+Z"
-    assert found.sensors["B"].block(0, 1).counts.tolist() == [[-512, 256, 768]]
+    result = Simulation(plan, motion, {"A": (ChannelSwap("B", "place"),)})
+    assert result.sensors["A"].block(0, 1).counts.tolist() == [[-512, 256, 768]]
+    assert result.sensors["A"].header.axes == "+X+Y+Z"
+    assert result.sensors["B"].block(0, 1).counts.tolist() == [[-512, 256, 768]]
     model = parse_model(
         '[model]\nname = "m"\n[[sensor]]\nname = "A"\nchip = "adxl345"\n'
         'channel_swap = { sensor = "B", kind = "place" }',

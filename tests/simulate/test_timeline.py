@@ -135,10 +135,10 @@ def test_any_block_of_a_line_with_filled_holes_equals_the_whole(
     line, whole = made
     assert line.rows == len(whole)
     start, stop = sorted(data.draw(st.tuples(*[st.integers(0, len(whole))] * 2)))
-    found = line.stamps(start, stop)
-    assert found.dtype == np.int64
-    assert found.tolist() == whole[start:stop]
-    assert (np.diff(found) > 0).all()
+    stamps = line.stamps(start, stop)
+    assert stamps.dtype == np.int64
+    assert stamps.tolist() == whole[start:stop]
+    assert (np.diff(stamps) > 0).all()
     assert [line.stamps(row, row + 1).item() for row in range(len(whole))] == whole
 
 
@@ -172,12 +172,12 @@ def test_an_even_line_is_completed(
     )
     with open_log(path) as log:
         line = filled(log["A"])
-        found = line.stamps(0, line.rows)
+        stamps = line.stamps(0, line.rows)
         assert line.rows == len(kept)
         assert isinstance(line, GapFilledTimes) != kept.all()
         assert line.rows_per_s == pytest.approx(1e9 / period_ns, rel=0.1)
-        np.testing.assert_array_equal(found[kept], times[kept])
-        assert np.abs(found - times).max() <= 2 * off * period_ns + 1
+        np.testing.assert_array_equal(stamps[kept], times[kept])
+        assert np.abs(stamps - times).max() <= 2 * off * period_ns + 1
 
 
 def test_holes_with_a_flag_and_room_for_rows_are_filled(tmp_path: Path) -> None:

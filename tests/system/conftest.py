@@ -71,13 +71,13 @@ def cache_folder() -> Path:
 
 def kernels() -> list[tuple[Path, Path]]:
     """Kernel images that can be read, each with the folder of its modules: the cached one, then the installed ones."""
-    found = []
+    candidates = []
     for root in (cache_folder() / "kernel", Path("/")):
         for image in sorted(root.glob("boot/vmlinuz-*"), reverse=True):
             release = image.name.removeprefix("vmlinuz-")
             folders = [root / "lib/modules" / release, root / "usr/lib/modules" / release]
-            found += [(image, folder) for folder in folders if folder.is_dir() and os.access(image, os.R_OK)]
-    return found
+            candidates += [(image, folder) for folder in folders if folder.is_dir() and os.access(image, os.R_OK)]
+    return candidates
 
 
 def module_files(folder: Path) -> dict[str, Path]:
@@ -194,10 +194,10 @@ def require(*programs: str) -> None:
 
 def kernel_with(modules: Sequence[str]) -> tuple[Path, dict[str, bytes]]:
     """The first kernel that has all `modules`, and those with their dependencies; without one the test is skipped."""
-    found = kernels()
-    if not found:
+    result = kernels()
+    if not result:
         pytest.skip(f"no Linux kernel with modules in {cache_folder() / 'kernel'} (.ci/system-packages fetches one)")
-    for image, folder in found:
+    for image, folder in result:
         loaded = with_dependencies(["e1000", *modules], folder)
         absent = [name for name in modules if name.replace("-", "_") not in loaded]
         if not absent:

@@ -103,19 +103,19 @@ def test_the_kernel_reads_the_barometers_and_magnetometers(
     config = tmp_path / "shelf.toml"
     config.write_text(CONFIG)
     with served(config) as port:
-        said = sections(guest(SCRIPT.format(port=port, readings=READINGS), MODULES, TIMEOUT_S))
-    assert "end" in said, said
-    assert addresses(said["closed"]) == {0x1C, 0x68, 0x76, 0x77}
-    assert addresses(said["open"]) == {0x0C, 0x1C, 0x68, 0x76, 0x77}  # INV-97
-    assert said["drivers"].split() == ["bmp280", "bmp280", "st-magn-i2c", "ak8975"]
+        outputs = sections(guest(SCRIPT.format(port=port, readings=READINGS), MODULES, TIMEOUT_S))
+    assert "end" in outputs, outputs
+    assert addresses(outputs["closed"]) == {0x1C, 0x68, 0x76, 0x77}
+    assert addresses(outputs["open"]) == {0x0C, 0x1C, 0x68, 0x76, 0x77}  # INV-97
+    assert outputs["drivers"].split() == ["bmp280", "bmp280", "st-magn-i2c", "ak8975"]
 
     ours = own_readings(config)
-    check_barometer(said, "bmp280", ours["Baro280"], noise_pa=1.3)  # BMP-125
-    check_barometer(said, "bmp380", ours["Baro388"], noise_pa=1.3)  # DEC-221
-    check_lis3mdl(said, ours["Field"])
-    check_ak8963(said, ours["Compass"], own_adjustment(config))
-    assert said["master"].split() == ["inv-mpu6050-i2c"]
-    check_mpu9250(said, ours["Compass"], ours["Force"], own_adjustment(config))
+    check_barometer(outputs, "bmp280", ours["Baro280"], noise_pa=1.3)  # BMP-125
+    check_barometer(outputs, "bmp380", ours["Baro388"], noise_pa=1.3)  # DEC-221
+    check_lis3mdl(outputs, ours["Field"])
+    check_ak8963(outputs, ours["Compass"], own_adjustment(config))
+    assert outputs["master"].split() == ["inv-mpu6050-i2c"]
+    check_mpu9250(outputs, ours["Compass"], ours["Force"], own_adjustment(config))
 
 
 def own_adjustment(config: Path) -> list[int]:
@@ -126,60 +126,60 @@ def own_adjustment(config: Path) -> list[int]:
     return [int(header[f"asa_{axis}"]) for axis in "xyz"]
 
 
-def check_barometer(said: dict[str, str], chip: str, ours: npt.NDArray[np.float64], noise_pa: float) -> None:
+def check_barometer(outputs: dict[str, str], chip: str, ours: npt.NDArray[np.float64], noise_pa: float) -> None:
     """Compare means: the kernel and ours compute with the same words, so that only the pressure's noise is left, 5
     standard errors, and 0.01 Pa of rounding. The emulated temperature has no noise; it is printed to 0.01 degC.
     """
-    pressure, temperature = numbers(said[f"{chip}/in_pressure_input"]), numbers(said[f"{chip}/in_temp_input"])
+    pressure, temperature = numbers(outputs[f"{chip}/in_pressure_input"]), numbers(outputs[f"{chip}/in_temp_input"])
     assert len(pressure) == len(temperature) == READINGS
     error = noise_pa / 1e3 * np.sqrt(1 / READINGS + 1 / len(ours))
     assert pressure.mean() == pytest.approx(ours[:, 0].mean(), abs=1e-5 + 5 * error)
     assert temperature / 1e3 == pytest.approx(ours[:, 1].mean(), abs=0.005)
 
 
-def check_lis3mdl(said: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
+def check_lis3mdl(outputs: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
     """The kernel leaves the part in low-power performance, ours is ultra-high: sqrt(1000 / 155) more noise (LIS-11,
     DEC-103). Bound of 5 standard errors.
     """
     error = 5 * np.sqrt(1000 / 155 / READINGS) * ours.std(axis=0)
     for axis, mean, bound in zip("xyz", ours.mean(axis=0), error, strict=True):
-        theirs = numbers(said[f"lis3mdl/in_magn_{axis}_raw"])
+        theirs = numbers(outputs[f"lis3mdl/in_magn_{axis}_raw"])
         assert len(theirs) == READINGS
         assert theirs.mean() == pytest.approx(mean, abs=bound)
     x, y, z = ours.mean(axis=0)
     assert min(abs(x - y), abs(y - z), abs(z - x)) > 2 * error.max()  # or swapped axes would pass
 
 
-def check_ak8963(said: dict[str, str], ours: npt.NDArray[np.float64], adjustment: list[int]) -> None:
+def check_ak8963(outputs: dict[str, str], ours: npt.NDArray[np.float64], adjustment: list[int]) -> None:
     """The kernel reads 14 bits of 6 mG, ours are 16 bits of 1.5 mG; its scale, in gauss, contains the adjustment
     (asa + 128) / 256 (AKM-11, AKM-16). Bound of 5 standard errors and half a count of 14 bits.
     """
     for index, axis in enumerate("xyz"):
-        theirs = numbers(said[f"ak8963/in_magn_{axis}_raw"])
+        theirs = numbers(outputs[f"ak8963/in_magn_{axis}_raw"])
         assert len(theirs) == READINGS
         bound = 2 + 5 * ours[:, index].std() / np.sqrt(READINGS)
         assert 4 * theirs.mean() == pytest.approx(ours[:, index].mean(), abs=bound)
-        (scale,) = numbers(said[f"ak8963/in_magn_{axis}_scale"])
+        (scale,) = numbers(outputs[f"ak8963/in_magn_{axis}_scale"])
         assert scale == pytest.approx(0.006 * (adjustment[index] + 128) / 256, abs=1e-6)
     x, y, z = ours.mean(axis=0)
     assert min(abs(x - y), abs(y - z), abs(z - x)) > 20  # or swapped axes would pass
 
 
 def check_mpu9250(
-    said: dict[str, str], ours: npt.NDArray[np.float64], force: npt.NDArray[np.float64], adjustment: list[int]
+    outputs: dict[str, str], ours: npt.NDArray[np.float64], force: npt.NDArray[np.float64], adjustment: list[int]
 ) -> None:
     """The kernel asks for single measurements of 16 bits, whose bytes the master swaps (INV-111), and scales them by
     1.5 mG and the adjustment of x, for its channels lack an address. Bound of 5 standard errors and a count. Its
     accelerometer has another range; ours is at 4 g.
     """
     for index, axis in enumerate("xyz"):
-        theirs = numbers(said[f"mpu9250/in_magn_{axis}_raw"])
+        theirs = numbers(outputs[f"mpu9250/in_magn_{axis}_raw"])
         assert len(theirs) == READINGS
         bound = 1 + 5 * ours[:, index].std() * np.sqrt(1 / READINGS + 1 / len(ours))
         assert theirs.mean() == pytest.approx(ours[:, index].mean(), abs=bound)
-        (scale,) = numbers(said[f"mpu9250/in_magn_{axis}_scale"])
+        (scale,) = numbers(outputs[f"mpu9250/in_magn_{axis}_scale"])
         assert scale == pytest.approx(0.0015 * (adjustment[0] + 128) / 256, abs=1e-6)  # of x for every axis
-        accelerations = numbers(said[f"mpu9250/in_accel_{axis}_raw"])
-        (unit,) = numbers(said["mpu9250/in_accel_scale"])
+        accelerations = numbers(outputs[f"mpu9250/in_accel_{axis}_raw"])
+        (unit,) = numbers(outputs["mpu9250/in_accel_scale"])
         bound = 5 * force[:, index].std() / np.sqrt(READINGS) + 20
         assert accelerations.mean() * unit / 9.80665 * 8192 == pytest.approx(force[:, index].mean(), abs=bound)

@@ -93,19 +93,19 @@ def wires() -> dict[str, TappedWire]:
     return {name: TappedWire(wire) for name, wire in bus.wires.items()}
 
 
-def scans(said: dict[str, str], name: str) -> bytes:
+def scans(outputs: dict[str, str], name: str) -> bytes:
     """The bytes that were read from a device's file."""
-    (text,) = re.findall("^[0-9a-f]+$", said[f"{name}/scans"], re.MULTILINE)
+    (text,) = re.findall("^[0-9a-f]+$", outputs[f"{name}/scans"], re.MULTILINE)
     return bytes.fromhex(text)
 
 
-def triads(said: dict[str, str], name: str) -> Rows:
+def triads(outputs: dict[str, str], name: str) -> Rows:
     """The scans of a device without their times: words of 16 bits in the order and byte order of their elements."""
     elements = sorted(
         (int(index), kind[:2] == "be", element)
-        for element, index, kind in (line.split() for line in said[f"{name}/elements"].splitlines())
+        for element, index, kind in (line.split() for line in outputs[f"{name}/elements"].splitlines())
     )
-    data = scans(said, name)
+    data = scans(outputs, name)
     channels = [(big, element) for _, big, element in elements if element != "in_timestamp"]
     size = (2 * len(channels) + 7) // 8 * 8 + 8
     assert len(data) % size == 0
@@ -122,13 +122,13 @@ def triads(said: dict[str, str], name: str) -> Rows:
     return rows
 
 
-def times_ns(said: dict[str, str], name: str) -> list[int]:
+def times_ns(outputs: dict[str, str], name: str) -> list[int]:
     """The last eight bytes of every scan."""
     words = 0
-    for line in said[f"{name}/elements"].splitlines():
+    for line in outputs[f"{name}/elements"].splitlines():
         words += not line.startswith("in_timestamp")
     size = (2 * words + 7) // 8 * 8 + 8
-    data = scans(said, name)
+    data = scans(outputs, name)
     return [int.from_bytes(data[at + size - 8 : at + size], "little") for at in range(0, len(data), size)]
 
 
@@ -146,19 +146,19 @@ def test_the_kernels_buffers_contain_the_bytes_of_the_queues(
     with served(wires, "kernel queues") as port:
         starts = "\n".join(f"start {name} {rate_hz}" for name, rate_hz in DEVICES.items())
         script = SCRIPT.format(port=port, devices=" ".join(DEVICES), starts=starts)
-        said = sections(guest(script, MODULES, LIMIT_S))
-    assert "end" in said, said
-    assert set(said["names"].split()) >= set(DEVICES), said
+        outputs = sections(guest(script, MODULES, LIMIT_S))
+    assert "end" in outputs, outputs
+    assert set(outputs["names"].split()) >= set(DEVICES), outputs
     trunk, other = wires[""], wires[OTHER]
-    check_rows(triads(said, "mpu6050"), mpu_rows(trunk, 0x68))
-    check_rows(triads(said, "lsm6dso_accel"), lsm6dso_rows(trunk, 0x6A, 2))
-    check_rows(triads(said, "lsm6dso_gyro"), lsm6dso_rows(trunk, 0x6A, 1))
-    check_rows(triads(said, "icm42605-accel"), icm_rows(other, 0x68, 0))
-    check_rows(triads(said, "icm42605-gyro"), icm_rows(other, 0x68, 1))
+    check_rows(triads(outputs, "mpu6050"), mpu_rows(trunk, 0x68))
+    check_rows(triads(outputs, "lsm6dso_accel"), lsm6dso_rows(trunk, 0x6A, 2))
+    check_rows(triads(outputs, "lsm6dso_gyro"), lsm6dso_rows(trunk, 0x6A, 1))
+    check_rows(triads(outputs, "icm42605-accel"), icm_rows(other, 0x68, 0))
+    check_rows(triads(outputs, "icm42605-gyro"), icm_rows(other, 0x68, 1))
     for name in DEVICES:  # one step back where the other half is switched on: a slow guest's clock is behind the chip's
-        assert np.count_nonzero(np.diff(times_ns(said, name)) <= 0) <= 1, name
+        assert np.count_nonzero(np.diff(times_ns(outputs, name)) <= 0) <= 1, name
     for name in (
         "lsm6dso_accel",
         "lsm6dso_gyro",
     ):  # 26 Hz in counts of 25 us, from the time stamps in the queue: LSM-46
-        assert np.mean(np.isin(np.diff(times_ns(said, name)), (38_450_000, 38_475_000))) > 0.95
+        assert np.mean(np.isin(np.diff(times_ns(outputs, name)), (38_450_000, 38_475_000))) > 0.95

@@ -105,55 +105,55 @@ def test_the_kernel_reads_the_emulated_array(guest: Callable[[str, Iterable[str]
     config.write_text(CONFIG)
     with served(config) as port:
         script = SCRIPT.format(port=port, readings=READINGS, gyro_readings=GYRO_READINGS)
-        said = sections(guest(script, MODULES, TIMEOUT_S))
-    assert "end" in said, said
+        outputs = sections(guest(script, MODULES, TIMEOUT_S))
+    assert "end" in outputs, outputs
 
-    assert said["name"].startswith("i2c-tiny-usb at bus ")
-    assert addresses(said["trunk"]) == {0x70}
-    assert addresses(said["channel0"]) == addresses(said["quick"]) == {0x1E, 0x40, 0x53, 0x68, 0x70, 0x77}
-    assert addresses(said["channel1"]) == {0x69, 0x70}
-    assert said["devid"].split() == ["0xe5"]  # ADX-10
-    assert said["joined"].split() == ["0xe5", "0xd3"]  # L3G-10; both in one transaction
-    assert "No such device or address" in said["misrouted"]  # the mux switches at STOP, ENXIO: LNX-07, LNX-40
-    assert said["drivers"].split() == ["st-gyro-i2c", "bmp280", "hmc5843"]
-    assert "busy" in said["owned"]  # LNX-12
+    assert outputs["name"].startswith("i2c-tiny-usb at bus ")
+    assert addresses(outputs["trunk"]) == {0x70}
+    assert addresses(outputs["channel0"]) == addresses(outputs["quick"]) == {0x1E, 0x40, 0x53, 0x68, 0x70, 0x77}
+    assert addresses(outputs["channel1"]) == {0x69, 0x70}
+    assert outputs["devid"].split() == ["0xe5"]  # ADX-10
+    assert outputs["joined"].split() == ["0xe5", "0xd3"]  # L3G-10; both in one transaction
+    assert "No such device or address" in outputs["misrouted"]  # the mux switches at STOP, ENXIO: LNX-07, LNX-40
+    assert outputs["drivers"].split() == ["st-gyro-i2c", "bmp280", "hmc5843"]
+    assert "busy" in outputs["owned"]  # LNX-12
 
     ours = own_readings(config)
-    check_gyroscope(said, ours["Gyro"])
-    check_magnetometer(said, ours["Compass"])
-    check_barometer(said, ours["Baro"])
+    check_gyroscope(outputs, ours["Gyro"])
+    check_magnetometer(outputs, ours["Compass"])
+    check_barometer(outputs, ours["Baro"])
 
 
-def check_gyroscope(said: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
+def check_gyroscope(outputs: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
     """The kernel leaves the bandwidth at LPF1's 32 Hz, ours is LPF2's 12.5 Hz (L3G-30, L3G-38): sqrt(2.6) more noise.
 
     Its driver waits 20 ms from power-down to the first reading where the part takes 300 ms (L3G-65): the script has
     switched the part on before. Bound of 5 standard errors: wrong by chance once in half a million runs.
     """
-    assert numbers(said["l3g4200d/in_anglvel_x_scale"])[0] == pytest.approx(np.radians(0.00875), abs=1e-6)  # L3G-40
+    assert numbers(outputs["l3g4200d/in_anglvel_x_scale"])[0] == pytest.approx(np.radians(0.00875), abs=1e-6)  # L3G-40
     error = 5 * np.sqrt(32 / 12.5 / GYRO_READINGS) * ours.std(axis=0)
     for axis, mean, bound in zip("xyz", ours.mean(axis=0), error, strict=True):
-        theirs = numbers(said[f"l3g4200d/in_anglvel_{axis}_raw"])
+        theirs = numbers(outputs[f"l3g4200d/in_anglvel_{axis}_raw"])
         assert len(theirs) == GYRO_READINGS
         assert theirs.mean() == pytest.approx(mean, abs=bound)
     assert np.abs(ours.mean(axis=0)).max() > error.max()  # or zeros would pass
 
 
-def check_magnetometer(said: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
+def check_magnetometer(outputs: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
     """X, Y, Z although the chip sends X, Z, Y (HMC-13 ... HMC-15); at 15 Hz some samples are read several times."""
     for axis, mean, deviation in zip("xyz", ours.mean(axis=0), ours.std(axis=0), strict=True):
-        theirs = numbers(said[f"hmc5883l/in_magn_{axis}_raw"])
+        theirs = numbers(outputs[f"hmc5883l/in_magn_{axis}_raw"])
         assert len(theirs) == READINGS
         assert theirs.mean() == pytest.approx(mean, abs=5 * deviation)
     x, y, z = ours.mean(axis=0)
     assert min(abs(x - y), abs(y - z), abs(z - x)) > 50  # or swapped axes would pass
 
 
-def check_barometer(said: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
+def check_barometer(outputs: dict[str, str], ours: npt.NDArray[np.float64]) -> None:
     """kPa and millidegrees. The kernel's one division rounds towards zero, ours down: 3 Pa with these calibration words
     (BMP-64), the rest is noise of 3 Pa rms (BMP-44).
     """
-    pressure, temperature = numbers(said["bmp180/in_pressure_input"]), numbers(said["bmp180/in_temp_input"])
+    pressure, temperature = numbers(outputs["bmp180/in_pressure_input"]), numbers(outputs["bmp180/in_temp_input"])
     assert len(pressure) == len(temperature) == READINGS
     error = 0.003 * np.sqrt(1 / READINGS + 1 / len(ours))
     assert pressure.mean() == pytest.approx(ours[:, 0].mean(), abs=0.003 + 5 * error)

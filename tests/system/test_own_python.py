@@ -79,8 +79,8 @@ def rows_of(log: Log, name: str) -> tuple[Any, Any]:
 
 def test_detect_agrees_with_the_configuration(seen: Seen) -> None:
     assert (seen.codes["detect"], seen.codes["self_test"]) == (0, 0)
-    said = {entry["sensor"]: entry["ok"] for entry in seen.report("detect")["found"]}
-    assert said == dict.fromkeys(SENSORS | {"mux"}, True)
+    verdicts = {entry["sensor"]: entry["ok"] for entry in seen.report("detect")["found"]}
+    assert verdicts == dict.fromkeys(SENSORS | {"mux"}, True)
     tested = [entry["self_test"] for entry in seen.report("self_test")["found"] if entry["self_test"]]
     assert len(tested) >= 3
     assert all(text.startswith("self-test passed") for text in tested), tested
@@ -110,11 +110,11 @@ def test_a_log_continues_when_the_adapter_returns_with_another_number(seen: Seen
     assert before != after
     with open_log(seen.folder / "unplugged.h5") as log:
         assert log.state == "finished"
-        told = [event for event in log.events if event.kind == "adapter"]
-        assert len(told) == 2, [event.message for event in told]
-        assert f"/dev/i2c-{before}" in told[0].message
-        assert f"/dev/i2c-{after}" in told[1].message
-        out_s, in_s = (event.time_ns * 1e-9 for event in told)
+        events = [event for event in log.events if event.kind == "adapter"]
+        assert len(events) == 2, [event.message for event in events]
+        assert f"/dev/i2c-{before}" in events[0].message
+        assert f"/dev/i2c-{after}" in events[1].message
+        out_s, in_s = (event.time_ns * 1e-9 for event in events)
         for name in SENSORS:
             time, status = rows_of(log, name)
             assert (time < out_s).any(), name

@@ -34,10 +34,10 @@ def test_acceleration_is_read_with_the_scale_of_the_driver(
     """It takes 0.004 g a count, where the data sheet has 1/256 g (ADX-40): all its values are 2.4 % too large."""
     accelerometer.board.feel(WorldStimulus(force_box=force))
     count = 0.004 * STANDARD_GRAVITY
-    for said, true in zip(accelerometer.chip.acceleration, force, strict=True):
-        assert said == pytest.approx(true * 256 / 250, abs=count)
+    for value, true in zip(accelerometer.chip.acceleration, force, strict=True):
+        assert value == pytest.approx(true * 256 / 250, abs=count)
         if abs(true) > 9:
-            assert said != pytest.approx(true, abs=2 * count)
+            assert value != pytest.approx(true, abs=2 * count)
 
 
 @pytest.mark.parametrize("name", ["RANGE_2_G", "RANGE_4_G", "RANGE_8_G", "RANGE_16_G"])

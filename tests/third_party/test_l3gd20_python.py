@@ -46,8 +46,8 @@ def test_angular_rate_is_read(
         gyroscope = driver.L3GD20(bus)
         gyroscope.set_range(getattr(driver, name))
         board.feel(turning(rate_dps), settle_ns=10**9)
-        said = gyroscope.read()
-    for axis, true in zip(said, rate_dps, strict=True):
+        reading = gyroscope.read()
+    for axis, true in zip(reading, rate_dps, strict=True):
         assert axis == pytest.approx(true, abs=dps_per_count)  # L3G-40 ... L3G-42
 
 

@@ -122,8 +122,8 @@ def test_the_truth_in_the_folder_of_the_logs_is_refused(tmp_path):
 @pytest.mark.slow
 def test_a_reference_records_the_commanded_course_or_is_omitted(tmp_path):
     heated = BenchExperiment("heating", HeatingWorld(scale=0.005), 6.0)
-    told, silent = (BenchCase.of(ARRAY, [heated], reference=reference) for reference in (True, False))
-    (told_path,) = told.write(tmp_path / "told", tmp_path / "told.json")
+    complete, silent = (BenchCase.of(ARRAY, [heated], reference=reference) for reference in (True, False))
+    (told_path,) = complete.write(tmp_path / "told", tmp_path / "told.json")
     (silent_path,) = silent.write(tmp_path / "silent", tmp_path / "silent.json")
     with open_log(told_path) as log:
         assert log.reference is not None
@@ -175,25 +175,25 @@ def test_the_command_writes_a_case_and_refuses_bad_arguments(tmp_path, capsys):
     assert json.loads((tmp_path / "truth.json").read_text())["mechanisms"][0]["severity"] == 3.0
     assert main(["martin2013", *where, *small]) == 2
     assert "truth.json" in capsys.readouterr().err
-    for wrong, said in (
+    for wrong, message in (
         (["--experiments", "dancing"], "experiment 'dancing'; allowed are static"),
         (["--severity", "3"], "as often as --mechanism"),
         (["--mechanism", "log_creep", "--sensor", "HMC9"], "sensor 'HMC9' for LogCreep"),
     ):
         assert main(["martin2013", *where, *small, *wrong, "--force"]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 def test_mechanisms_are_described(capsys):
     """The properties of all mechanisms as JSON; a mechanism that is either on or off is not graded."""
     assert main(["--mechanisms"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told) == set(MECHANISMS)
-    assert told["mains_ripple"] == {
+    report = json.loads(capsys.readouterr().out)
+    assert set(report) == set(MECHANISMS)
+    assert report["mains_ripple"] == {
         "touches": ["adxl345", "bma180", "l3g4200d"],
         "place": "sensor",
         "resembles": ["tone"],
         "graded": True,
     }
-    assert not told["rotated_package"]["graded"]
-    assert told["one_sided_noise"]["resembles"] == []
+    assert not report["rotated_package"]["graded"]
+    assert report["one_sided_noise"]["resembles"] == []

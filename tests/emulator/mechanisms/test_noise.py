@@ -26,8 +26,8 @@ from tests.emulator.mechanisms.mechanism_bench import MS, S, board, errors, ever
 
 
 def test_shot_noise_has_twice_the_carriers_as_its_variance():
-    found = errors(CarrierShotNoise(carriers=8.0, step_dps=0.5), "Gyro", every(10, 4000))
-    steps = found / 0.5
+    error = errors(CarrierShotNoise(carriers=8.0, step_dps=0.5), "Gyro", every(10, 4000))
+    steps = error / 0.5
     assert np.allclose(steps, np.round(steps))
     assert steps.var() == pytest.approx(16.0, rel=4 * math.sqrt(2 / 12000))
     assert abs(steps.mean()) < 4 * math.sqrt(16 / 12000)
@@ -41,10 +41,10 @@ def test_the_number_of_carriers_grows_with_the_square_of_shot_noise():
 @pytest.mark.slow
 def test_a_bank_of_traps_has_the_mean_of_its_traps_correlations():
     bank = TrappedCharges(rms_dps=1.0, traps=6, fastest_s=0.01, slowest_s=0.5)
-    found = errors(bank, "Gyro", every(10, 30000))
-    assert found.var() == pytest.approx(1.0, rel=0.1)
+    error = errors(bank, "Gyro", every(10, 30000))
+    assert error.var() == pytest.approx(1.0, rel=0.1)
     for lag in (1, 5, 20):
-        correlation = np.mean(found[lag:] * found[:-lag]) / found.var()
+        correlation = np.mean(error[lag:] * error[:-lag]) / error.var()
         assert correlation == pytest.approx(np.mean(np.exp(-0.01 * lag / np.geomspace(0.01, 0.5, 6))), abs=0.05)
 
 
@@ -59,11 +59,11 @@ def test_slips_add_up_to_a_random_walk():
 
 @pytest.mark.slow
 def test_a_trap_is_full_for_its_share_of_the_time_and_on_one_axis():
-    found = errors(SingleTrap(size_dps=0.4, capture_s=0.3, emission_s=0.1), "Gyro", every(10, 40000))
-    assert np.count_nonzero(found.any(axis=0)) == 1
-    axis = int(np.argmax(found.any(axis=0)))
-    assert set(np.round(found[:, axis], 9)) == {0.0, 0.4}
-    assert (found[:, axis] > 0).mean() == pytest.approx(0.25, abs=0.04)
+    error = errors(SingleTrap(size_dps=0.4, capture_s=0.3, emission_s=0.1), "Gyro", every(10, 40000))
+    assert np.count_nonzero(error.any(axis=0)) == 1
+    axis = int(np.argmax(error.any(axis=0)))
+    assert set(np.round(error[:, axis], 9)) == {0.0, 0.4}
+    assert (error[:, axis] > 0).mean() == pytest.approx(0.25, abs=0.04)
 
 
 def test_the_output_filter_answers_a_step_as_scipys_butterworth_does():
@@ -93,14 +93,14 @@ def test_an_input_change_long_before_a_read_has_settled():
 
 @pytest.mark.slow
 def test_the_output_filter_colours_noise_as_scipys_butterworth_does():
-    found = samples(board(OutputFilter(5.0), "Gyro", noisy=True), "Gyro", every(10, 30000))
+    values = samples(board(OutputFilter(5.0), "Gyro", noisy=True), "Gyro", every(10, 30000))
     frequencies = np.linspace(0.0, 2000.0, 400001)
     _, response = signal.freqs(*signal.butter(2, 2 * math.pi * 5.0, analog=True), worN=2 * math.pi * frequencies)
     power = np.abs(response) ** 2
     assert np.trapezoid(power, frequencies) == pytest.approx(5 * math.pi / (2 * math.sqrt(2)), rel=1e-3)
     for lag in (1, 2, 5, 10):
         wanted = np.trapezoid(power * np.cos(2 * math.pi * frequencies * 0.01 * lag), frequencies)
-        got = np.mean(found[lag:] * found[:-lag]) / found.var()
+        got = np.mean(values[lag:] * values[:-lag]) / values.var()
         assert got == pytest.approx(wanted / np.trapezoid(power, frequencies), abs=0.03)
 
 
@@ -108,44 +108,44 @@ def test_a_filter_narrower_than_the_registers_reduces_the_noise():
     element = board(OutputFilter(5.0), "Gyro", noisy=True).element(
         next(one for one in board(OutputFilter(), "Gyro").sensors.values() if one.name == "Gyro")
     )
-    found = np.array([element.sample(at, 250.0, 100.0) for at in every(200, 4000)])
+    result = np.array([element.sample(at, 250.0, 100.0) for at in every(200, 4000)])
     density = math.sqrt(100.0 / 100.0)  # 1 rms in 1 Hz is 10 rms in 100 Hz: a density of 1
-    assert found.std() == pytest.approx(density * math.sqrt(5 * 1.1107), rel=0.05)
+    assert result.std() == pytest.approx(density * math.sqrt(5 * 1.1107), rel=0.05)
 
 
 def test_mains_show_a_line_with_harmonics_that_wanders():
-    found = errors(MainsRipple(peak_dps=1.0), "Gyro", every(1, 20000))
-    axis = int(np.argmax(found.std(axis=0)))
-    frequencies, power = signal.periodogram(found[:, axis], 1000.0, "hann")
+    error = errors(MainsRipple(peak_dps=1.0), "Gyro", every(1, 20000))
+    axis = int(np.argmax(error.std(axis=0)))
+    frequencies, power = signal.periodogram(error[:, axis], 1000.0, "hann")
     lines = [math.sqrt(power[np.abs(frequencies - line) < 1].sum()) for line in (50.0, 100.0, 150.0)]
     assert lines[1] / lines[0] == pytest.approx(0.3, rel=0.02)
     assert lines[2] / lines[0] == pytest.approx(0.15, rel=0.02)
     assert abs(frequencies[np.argmax(power)] - 50.0) < 0.1
     outside = np.all([np.abs(frequencies - line) > 2 for line in (50.0, 100.0, 150.0)], axis=0)
     assert power[outside].sum() < 1e-4 * power.sum()
-    assert found.std() == pytest.approx(math.sqrt((1 + 0.3**2 + 0.15**2) / 2), rel=0.03)  # axes are 1 on average
+    assert error.std() == pytest.approx(math.sqrt((1 + 0.3**2 + 0.15**2) / 2), rel=0.03)  # axes are 1 on average
 
 
 def test_one_sided_noise_is_exponential():
-    found = errors(OneSidedNoise(mean_dps=0.5), "Gyro", every(10, 4000)).ravel()
-    assert stats.kstest(found + 0.5, "expon", args=(0.0, 0.5)).pvalue > 1e-4
+    error = errors(OneSidedNoise(mean_dps=0.5), "Gyro", every(10, 4000)).ravel()
+    assert stats.kstest(error + 0.5, "expon", args=(0.0, 0.5)).pvalue > 1e-4
 
 
 def test_two_converters_take_turns():
-    found = errors(InterleavedConverters(offset_dps=0.15), "Gyro", every(15.6, 100))
-    assert np.allclose(found[1:], -found[:-1])
-    assert np.allclose(np.abs(found), 0.15)
+    error = errors(InterleavedConverters(offset_dps=0.15), "Gyro", every(15.6, 100))
+    assert np.allclose(error[1:], -error[:-1])
+    assert np.allclose(np.abs(error), 0.15)
     twice = errors(InterleavedConverters(offset_dps=0.15), "Gyro", [5 * MS, 5 * MS + 400_000, 20 * MS])
     assert np.allclose(twice[0], twice[1])
     assert np.allclose(twice[2], -twice[0])
 
 
 def test_a_transmitter_disturbs_only_while_it_sends():
-    found = errors(KeyedTransmitter(rms_dps=0.5, sending_s=1.5, period_s=9.0), "Gyro", every(10, 18000))
-    heard = found.any(axis=1)
-    assert heard.mean() == pytest.approx(1.5 / 9.0, abs=0.002)
-    assert np.count_nonzero(np.diff(heard.astype(int)) == 1) in (19, 20)
-    assert found[heard].std() == pytest.approx(0.5, rel=0.03)
+    error = errors(KeyedTransmitter(rms_dps=0.5, sending_s=1.5, period_s=9.0), "Gyro", every(10, 18000))
+    active = error.any(axis=1)
+    assert active.mean() == pytest.approx(1.5 / 9.0, abs=0.002)
+    assert np.count_nonzero(np.diff(active.astype(int)) == 1) in (19, 20)
+    assert error[active].std() == pytest.approx(0.5, rel=0.03)
 
 
 def test_noise_of_the_reference_is_proportional_to_the_input():

@@ -76,8 +76,8 @@ def test_the_error_grows_with_severity(name):
 
     def size(severity: float) -> float:
         full_scale = 250.0 if where == "Gyro" else 2.0
-        found = errors(kind.at(severity), where, every(31.2, 450), world=both, full_scale=full_scale)
-        return float(np.sqrt(np.mean(found**2)))
+        error = errors(kind.at(severity), where, every(31.2, 450), world=both, full_scale=full_scale)
+        return float(np.sqrt(np.mean(error**2)))
 
     ladder = [size(severity) for severity in (0.5, 1, 4)]
     assert ladder == sorted(ladder)
@@ -112,8 +112,8 @@ def test_making_a_case_does_not_load_the_simulator():
         "import sys, firmware_emulator.cases, firmware_emulator.mechanisms.query;"
         "print([name for name in sys.modules if name.startswith(('imuarray.simulate', 'imuarray.gap'))])"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"
 
 
 def test_a_url_names_mechanisms_sensors_and_severities():
@@ -130,7 +130,7 @@ def test_a_url_names_mechanisms_sensors_and_severities():
 
 
 @pytest.mark.parametrize(
-    ("query", "said"),
+    ("query", "message"),
     [
         ({"mechanism": "magic"}, "mechanism 'magic'; allowed are carrier_shot_noise"),
         ({"mechanism": "log_creep", "sensor": "Gyro9"}, "allowed are ADXL, BMA, BMA twin, Gyro, Gyro twin"),
@@ -145,8 +145,8 @@ def test_a_url_names_mechanisms_sensors_and_severities():
         ({"run": "-1"}, "run=-1; allowed is a whole number"),
     ],
 )
-def test_a_url_with_impossible_parameters_is_refused(query, said):
-    with pytest.raises(ValueError, match=said):
+def test_a_url_with_impossible_parameters_is_refused(query, message):
+    with pytest.raises(ValueError, match=message):
         open_bus(query, ARRAY)
 
 

@@ -137,8 +137,8 @@ def test_hysteresis_depends_on_the_path_and_not_on_the_rate():
     def up_and_down(at_s: float) -> float:
         return 25.0 + (at_s if at_s < 20 else 40 - at_s)
 
-    found = errors(ThermalHysteresis(size_dps=0.3, backlash_k=3.0), "Gyro", every(100, 400), world=warm(up_and_down))
-    warming, cooling = found[150], found[350]
+    error = errors(ThermalHysteresis(size_dps=0.3, backlash_k=3.0), "Gyro", every(100, 400), world=warm(up_and_down))
+    warming, cooling = error[150], error[350]
     assert cooling == pytest.approx(-warming)
     assert math.sqrt(np.mean(warming**2)) == pytest.approx(0.3)
     slow = errors(
@@ -147,19 +147,19 @@ def test_hysteresis_depends_on_the_path_and_not_on_the_rate():
         every(1000, 400),
         world=warm(lambda at_s: up_and_down(at_s / 10)),
     )
-    assert np.allclose(slow, found)
+    assert np.allclose(slow, error)
 
 
 def test_scale_sags_with_the_battery():
-    found = samples(board(SupplyDroop(0.02, 40.0), "BMA"), "BMA", [0, 40 * S, 4000 * S])[:, 2]
-    assert found == pytest.approx([1.0, 1 - 0.02 * (1 - math.exp(-1)), 0.98])
+    values = samples(board(SupplyDroop(0.02, 40.0), "BMA"), "BMA", [0, 40 * S, 4000 * S])[:, 2]
+    assert values == pytest.approx([1.0, 1 - 0.02 * (1 - math.exp(-1)), 0.98])
 
 
 def test_creep_adds_the_same_in_every_decade_and_boot():
-    found = [errors(LogCreep(per_decade_dps=0.15), "Gyro", [0, 9 * S, 99 * S, 999 * S], run=run) for run in (0, 5)]
-    assert np.array_equal(*found)
-    assert np.allclose(found[0], np.outer([0, 1, 2, 3], found[0][1]))
-    assert math.sqrt(np.mean(found[0][1] ** 2)) == pytest.approx(0.15)
+    values = [errors(LogCreep(per_decade_dps=0.15), "Gyro", [0, 9 * S, 99 * S, 999 * S], run=run) for run in (0, 5)]
+    assert np.array_equal(*values)
+    assert np.allclose(values[0], np.outer([0, 1, 2, 3], values[0][1]))
+    assert math.sqrt(np.mean(values[0][1] ** 2)) == pytest.approx(0.15)
 
 
 def test_stress_is_drawn_at_power_on_and_kept():
@@ -219,14 +219,14 @@ def test_a_delayed_chip_measures_the_earlier_value_of_a_ramp():
 
 def test_a_lever_arm_adds_centripetal_and_tangential_force():
     steady = turning(lambda at_s: (0.0, 0.0, 3.0))
-    found = one(LeverArm(0.05), "BMA", steady) * STANDARD_GRAVITY
+    result = one(LeverArm(0.05), "BMA", steady) * STANDARD_GRAVITY
     speeding = turning(lambda at_s: (0.0, 0.0, 4.0 * (at_s - 1.0)))
     tangential = one(LeverArm(0.05), "BMA", speeding) * STANDARD_GRAVITY
-    assert found[2] == 0.0
-    across = np.linalg.norm(found) / 9.0  # the arm's part across the axis
+    assert result[2] == 0.0
+    across = np.linalg.norm(result) / 9.0  # the arm's part across the axis
     assert 0 < across <= 0.05
     assert np.linalg.norm(tangential) == pytest.approx(4.0 * across, rel=1e-6)
-    assert tangential @ found == pytest.approx(0.0, abs=1e-9)
+    assert tangential @ result == pytest.approx(0.0, abs=1e-9)
 
 
 def test_vibration_is_rectified_by_its_mean_square():
@@ -237,8 +237,8 @@ def test_vibration_is_rectified_by_its_mean_square():
 
     mechanism = VibrationRectification(per_g2_dps=10.0, memory_s=2.0)
     assert not errors(mechanism, "Gyro", every(10, 100)).any()
-    found = errors(mechanism, "Gyro", every(7.3, 3000), world=shaken)[2000:]
-    assert np.sqrt(np.mean(found.mean(axis=0) ** 2)) == pytest.approx(10.0 * 0.5**2 / 2, rel=0.03)
+    error = errors(mechanism, "Gyro", every(7.3, 3000), world=shaken)[2000:]
+    assert np.sqrt(np.mean(error.mean(axis=0) ** 2)) == pytest.approx(10.0 * 0.5**2 / 2, rel=0.03)
 
 
 def test_a_drifting_supply_affects_all_chips_of_a_kind_equally():

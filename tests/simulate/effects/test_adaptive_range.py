@@ -123,12 +123,12 @@ def readings(control: str, *fittings: Fitting) -> list[int]:
     bus = open_array(ARRAY, world=turning, board=lambda array, world, seed: IdealBoard(ARRAY, world, seed, fittings))
     for text in (control, "4f06", "4e0c"):
         bus.transfer(0x68, bytes.fromhex(text))
-    told = []
+    values = []
     bus.clock.sleep_until(200 * MS + 250_000)
     for index in range(1000):
         bus.clock.sleep_until(200 * MS + 250_000 + index * MS)
-        told.append(int.from_bytes(bus.transfer(0x68, b"\x25", 2), "big", signed=True))
-    return told
+        values.append(int.from_bytes(bus.transfer(0x68, b"\x25", 2), "big", signed=True))
+    return values
 
 
 def test_the_mechanism_the_register_and_the_effect_agree(place, codes, sensor) -> None:

@@ -48,11 +48,11 @@ def test_two_poles_are_scipys_butterworth(place: MakePlace, analog: MakeAnalog) 
     """
     effect, at = Bandwidth(10.0, 1.0, 2.0), place(rows_per_s=100.0)
     rise = np.repeat((np.arange(60) > 9)[:, None], 3, axis=1).astype(float)
-    found = effect.analog(analog(0, 60, value=rise), at).value[:, 0]
+    result = effect.analog(analog(0, 60, value=rise), at).value[:, 0]
     times = np.linspace(0, 0.6, 60_001)
     straight = np.interp(times, np.arange(60) / 100, rise[:, 0])
     _, wanted, _ = signal.lsim(signal.butter(2, 2 * np.pi * 10.0, analog=True), straight, times)
-    np.testing.assert_allclose(found, np.interp(np.arange(60) / 100, times, wanted), atol=1e-6)
+    np.testing.assert_allclose(result, np.interp(np.arange(60) / 100, times, wanted), atol=1e-6)
     white = np.random.default_rng(6).normal(0, 0.3, (100_000, 3))
     noise = effect.analog(analog(0, 100_000, noise=white), at).noise
     assert noise.std() == pytest.approx(0.3, rel=0.01)
@@ -91,11 +91,11 @@ def test_a_ramp_lags_by_the_time_constant(place: MakePlace, analog: MakeAnalog, 
     """x(t) = t behind a filter of time constant T is t - T + T exp(-t / T), from rest at 0, for any rate of rows."""
     time_s, constant_s = np.arange(300) / 100, 1 / (2 * np.pi * cutoff_hz)
     ramp = np.repeat(time_s[:, None], 3, axis=1)
-    found = Bandwidth(cutoff_hz, 1.0).analog(analog(0, 300, value=ramp), place(rows_per_s=100.0)).value
+    result = Bandwidth(cutoff_hz, 1.0).analog(analog(0, 300, value=ramp), place(rows_per_s=100.0)).value
     expected = time_s - constant_s * -np.expm1(-time_s / constant_s)
-    np.testing.assert_allclose(found[:, 1], expected, atol=1e-12)
+    np.testing.assert_allclose(result[:, 1], expected, atol=1e-12)
     half = Bandwidth(cutoff_hz, 0.5).analog(analog(0, 300, value=ramp), place(rows_per_s=100.0)).value
-    np.testing.assert_allclose(half, (ramp + found) / 2, atol=1e-12)
+    np.testing.assert_allclose(half, (ramp + result) / 2, atol=1e-12)
 
 
 def test_a_constant_value_is_unchanged(place: MakePlace, analog: MakeAnalog) -> None:
@@ -166,16 +166,16 @@ def test_noise_of_a_digital_filter_equals_that_filtered_by_fourier_transform(
     """Against noise that is filtered by its Fourier transform: the same correlations, and the rms stays."""
     rows, generator = 1 << 17, np.random.default_rng(6)
     effect, at = Bandwidth(cutoff_hz, poles=poles, sampled_hz=100.0), place(rows_per_s=100.0)
-    found = effect.analog(analog(0, rows, noise=generator.standard_normal((rows, 3))), at).noise[
+    result = effect.analog(analog(0, rows, noise=generator.standard_normal((rows, 3))), at).noise[
         effect.lookback(at) :, 0
     ]
     over_cutoff = np.fft.rfftfreq(rows, 1 / 100.0) / cutoff_hz
     spectrum = np.fft.rfft(generator.standard_normal(rows)) / np.sqrt(1 + over_cutoff ** (2 * poles))
     expected = np.fft.irfft(spectrum)
-    assert found.std() == pytest.approx(1.0, abs=0.02)
+    assert result.std() == pytest.approx(1.0, abs=0.02)
     for lag in (1, 2, 3):
         wanted = np.corrcoef(expected[lag:], expected[:-lag])[0, 1]
-        assert np.corrcoef(found[lag:], found[:-lag])[0, 1] == pytest.approx(wanted, abs=0.015)
+        assert np.corrcoef(result[lag:], result[:-lag])[0, 1] == pytest.approx(wanted, abs=0.015)
 
 
 def test_a_share_of_the_noise_is_passed(place: MakePlace, analog: MakeAnalog) -> None:

@@ -44,9 +44,9 @@ def sensor(motion: Any, effects: tuple[Any, ...], *, set_hz: float, frames_hz: f
         f'[array]\nname = "a"\n[[sensor]]\nname = "S"\nchip = "adxl345"\naddress = 0x53\nrange = 16\nrate_hz = {set_hz}'
     )
     made = Simulation(plan_of(parse_array(text), frames_hz, seconds), motion, {"S": effects}, seed=3)
-    found = made.sensors["S"]
-    assert isinstance(found, SimulatedSensor)
-    return found
+    simulated = made.sensors["S"]
+    assert isinstance(simulated, SimulatedSensor)
+    return simulated
 
 
 def ramp(g_per_s: float) -> Callable[[Any], Any]:
@@ -57,8 +57,8 @@ class TestInstants:
     def test_readings_match_those_numbered_by_hand(self, place: MakePlace, instants: MakeInstants) -> None:
         """80 Hz and a quarter more are 100 Hz; a quarter of 10 ms had passed at the epoch: -2.5, 7.5, 17.5 ... ms."""
         rows = instants(0, 5, rows_per_s=40.0, rate_hz=80.0)
-        found = polled(OwnClock(0.25, 90.0), rows, at_rate(place, 80.0, rows_per_s=40.0))
-        assert found.tolist() == [-2_500_000, 17_500_000, 47_500_000, 67_500_000, 97_500_000]
+        result = polled(OwnClock(0.25, 90.0), rows, at_rate(place, 80.0, rows_per_s=40.0))
+        assert result.tolist() == [-2_500_000, 17_500_000, 47_500_000, 67_500_000, 97_500_000]
 
     def test_ages_have_a_beat(self, place: MakePlace, instants: MakeInstants) -> None:
         """1 % more than 800 Hz, polled 100 times a second: 8.08 periods a poll. Ages grow by 8 hundredths of a period
@@ -100,10 +100,10 @@ class TestInstants:
         self, instant_ns: int, rate_hz: float, phase: float
     ) -> None:
         """`held` decides by the readings' times which of them are the same."""
-        (found,) = latest_reading(np.array([instant_ns]), rate_hz, phase).tolist()
+        (result,) = latest_reading(np.array([instant_ns]), rate_hz, phase).tolist()
         rounding_ns = 2 + 1e-6 * 1e9 / rate_hz
-        assert -rounding_ns <= instant_ns - found <= 1e9 / rate_hz + rounding_ns
-        assert latest_reading(np.array([found]), rate_hz, phase).tolist() == [found]
+        assert -rounding_ns <= instant_ns - result <= 1e9 / rate_hz + rounding_ns
+        assert latest_reading(np.array([result]), rate_hz, phase).tolist() == [result]
 
 
 class TestUnchangedRows:

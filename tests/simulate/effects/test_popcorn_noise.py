@@ -30,10 +30,10 @@ def test_the_autocovariance_is_that_of_a_random_telegraph(place: MakePlace, anal
         [effect.analog(analog(0, 16_401), place(rows_per_s=10.0, seed=seed)).value[rows].T for seed in range(300)]
     )
     wanted = np.exp(-2 * 0.1 * np.abs(np.subtract.outer(rows, rows)) / 10)
-    found = signs.T @ signs / len(signs)
+    result = signs.T @ signs / len(signs)
     # The mean of 900 products of two signs, each correlated by c: standard error sqrt((1 - c^2) / 900).
     # 15 pairs and 6 means beyond 5 of them: 1e-5.
-    assert (np.abs(found - wanted) <= 5 * np.sqrt((1 - wanted**2) / 900) + 1e-12).all()
+    assert (np.abs(result - wanted) <= 5 * np.sqrt((1 - wanted**2) / 900) + 1e-12).all()
     assert np.abs(signs.mean(axis=0)).max() < 5 / 30
 
 
@@ -46,12 +46,12 @@ def test_a_rare_level_has_its_share_and_durations(place: MakePlace, analog: Make
     rows = np.array([0, 5, 16_383, 16_384, 16_390])
     values = [effect.analog(analog(0, 16_391), place(rows_per_s=10.0, seed=seed)).value for seed in range(300)]
     np.testing.assert_allclose(np.unique(values[0]), [-0.4, 1.6])
-    found = np.concatenate([one[rows].T for one in values])
+    result = np.concatenate([one[rows].T for one in values])
     wanted = 0.64 * np.exp(-0.4 / 0.32 * np.abs(np.subtract.outer(rows, rows)) / 10)
     # The squared product of two readings has a mean of at most their fourth moment, 1.6^4 x 0.2 + 0.4^4 x 0.8 = 1.33:
     # 15 products and 5 means of 900, beyond 5 standard errors: 1e-5.
-    assert np.abs(found.T @ found / 900 - wanted).max() < 5 * np.sqrt(1.33 / 900)
-    assert np.abs(found.mean(axis=0)).max() < 5 * np.sqrt(0.64 / 900)
+    assert np.abs(result.T @ result / 900 - wanted).max() < 5 * np.sqrt(1.33 / 900)
+    assert np.abs(result.mean(axis=0)).max() < 5 * np.sqrt(0.64 / 900)
     high = values[0][:, 0] > 0
     edges = np.flatnonzero(np.diff(high.astype(int)))
     lengths, upper = np.diff(edges) / 10, high[edges[:-1] + 1]

@@ -58,10 +58,10 @@ def test_a_ramp_is_followed_with_the_lag(place: MakePlace, time_constant_s: floa
     constant, 10 ms at least), and off by r step^2 / (8 tau) at most.
     """
     seconds = np.arange(0.0, 200.0, 0.1)
-    found = lagged(time_constant_s, lambda s: 20 + 0.1 * s, (seconds * 1e9).round().astype(np.int64), place)
+    temperature = lagged(time_constant_s, lambda s: 20 + 0.1 * s, (seconds * 1e9).round().astype(np.int64), place)
     wanted = 20 + 0.1 * (seconds + time_constant_s * np.expm1(-seconds / time_constant_s))
     step_s = max(time_constant_s / 50, 0.01)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=0.1 * step_s**2 / (8 * time_constant_s) + 1e-9)
+    np.testing.assert_allclose(temperature, wanted, rtol=0, atol=0.1 * step_s**2 / (8 * time_constant_s) + 1e-9)
 
 
 def test_a_slow_wave_is_damped_and_delayed(place: MakePlace) -> None:
@@ -70,8 +70,8 @@ def test_a_slow_wave_is_damped_and_delayed(place: MakePlace) -> None:
     """
     tau = 30.0
     seconds = np.arange(2000.0, 2400.0, 0.37)
-    found = lagged(tau, lambda s: 25 + 10 * np.sin(s / tau), (seconds * 1e9).round().astype(np.int64), place)
-    np.testing.assert_allclose(found, 25 + 10 / np.sqrt(2) * np.sin(seconds / tau - np.pi / 4), rtol=0, atol=2e-3)
+    temperature = lagged(tau, lambda s: 25 + 10 * np.sin(s / tau), (seconds * 1e9).round().astype(np.int64), place)
+    np.testing.assert_allclose(temperature, 25 + 10 / np.sqrt(2) * np.sin(seconds / tau - np.pi / 4), rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize("time_constant_s", [0.05, 5.0, 600.0])
@@ -90,8 +90,8 @@ def test_any_block_alone_equals_that_of_the_whole(place: MakePlace, time_constan
 
 def test_a_lag_shorter_than_a_step_does_nothing(place: MakePlace) -> None:
     seconds = np.arange(0.0, 20.0, 0.013)
-    found = lagged(1e-6, lambda s: 20 + np.sin(s), (seconds * 1e9).round().astype(np.int64), place)
-    np.testing.assert_allclose(found, 20 + np.sin(seconds), rtol=0, atol=2e-5)  # (10 ms)^2 / 8 of the curvature
+    temperature = lagged(1e-6, lambda s: 20 + np.sin(s), (seconds * 1e9).round().astype(np.int64), place)
+    np.testing.assert_allclose(temperature, 20 + np.sin(seconds), rtol=0, atol=2e-5)  # (10 ms)^2 / 8 of the curvature
 
 
 def test_a_part_that_warms_up_late_adds_its_own_bias(place: MakePlace, analog: MakeAnalog) -> None:
@@ -111,8 +111,8 @@ def test_a_part_that_warms_up_late_adds_its_own_bias(place: MakePlace, analog: M
 
 
 def test_the_part_is_in_equilibrium_before_the_beginning_and_at_constant_temperature(place: MakePlace) -> None:
-    found = lagged(10.0, lambda s: 20 + 0.1 * s, np.array([-5_000_000, -1, 0]), place)
-    np.testing.assert_allclose(found, 20.0)
+    temperature = lagged(10.0, lambda s: 20 + 0.1 * s, np.array([-5_000_000, -1, 0]), place)
+    np.testing.assert_allclose(temperature, 20.0)
     np.testing.assert_allclose(lagged(10.0, lambda s: 0 * s + 31.5, times(0, 100), place), 31.5, rtol=1e-14)
 
 
