@@ -35,7 +35,7 @@ def test_a_full_disk_keeps_the_existing_file(tmp_path: Path, before: str | None)
         Calibration().save(path, force=True)
     assert str(refused.value) == f"{path}: can't be written: No space left on device"
     assert refused.value.exit_code == 3
-    assert [one.read_text() for one in tmp_path.iterdir()] == ([] if before is None else [before])
+    assert [entry.read_text() for entry in tmp_path.iterdir()] == ([] if before is None else [before])
 
 
 def test_any_other_error_leaves_no_file(tmp_path: Path) -> None:

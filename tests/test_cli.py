@@ -299,7 +299,7 @@ def test_a_phase_similar_to_a_known_name_is_mentioned(run: Run, here: Path, phas
     assert len(mentioned) == bool(message)
     assert all(message in line for line in mentioned)
     with open_log(here / "r.h5") as log:
-        assert [one.name for one in log.phases] == [phase]
+        assert [entry.name for entry in log.phases] == [phase]
 
 
 @pytest.mark.parametrize("phase", ["zup", "Z-UP", "z up"])

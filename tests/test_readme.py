@@ -132,8 +132,8 @@ def test_the_commands_of_a_page_run(page: Path, walked: Path, tmp_path: Path, mo
     if page.stem == "fuse":  # fusing afterwards is fusing while it records
         live, causal = (list(read_fused(tmp_path / name)) for name in ("live_fused.h5", "causal.h5"))
         for quantity in ("specific_force", "angular_rate"):
-            one, other = (np.concatenate([block.triads[quantity] for block in fused]) for fused in (live, causal))
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+            first, other = (np.concatenate([block.triads[quantity] for block in fused]) for fused in (live, causal))
+            np.testing.assert_allclose(first, other, rtol=0, atol=1e-9)
     if page.stem == "raspberry_pi":  # by place, for names are the proposal's own
         wired, proposed = (
             ia.load_array(path) for path in (ROOT / "configs" / "martin2013.toml", tmp_path / "mine.toml")

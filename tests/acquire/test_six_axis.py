@@ -80,7 +80,7 @@ def test_twins_are_marked_and_distinguished() -> None:
     array = load_array(SHIPPED)
     with open_array(array) as bus:
         routes = connect(array, bus)
-        registers = [{one.setting.register.address for one in witnesses_of(route, routes)} for route in routes]
+        registers = [{entry.setting.register.address for entry in witnesses_of(route, routes)} for route in routes]
         marks = [bus.chips[sensor.name].page[0x63] for sensor in array.sensors]
     assert all(0x63 in seen for seen in registers)
     assert marks == [1, 1, 2, 2, 3, 3, 4, 4]  # both halves of a die agree

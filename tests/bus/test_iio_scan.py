@@ -81,10 +81,10 @@ def test_any_channels_are_unpacked(made: list[Any], random: Any) -> None:
         element(f"c{row}", index, kind) for row, (index, (kind, _, _)) in enumerate(zip(indices, made, strict=True))
     ]
     random.shuffle(listed)
-    one = scan([word for _, _, word in made])
+    single = scan([word for _, _, word in made])
     layout = ScanLayout.of(listed)
-    assert layout.size == len(one)
-    values = layout.unpack(one * 3)
+    assert layout.size == len(single)
+    values = layout.unpack(single * 3)
     for row, (_, expected, _) in enumerate(made):
         got = values[f"c{row}"]
         assert got.tolist() == ([expected] * 3 if len(expected) > 1 else expected * 3)

@@ -474,6 +474,6 @@ def test_a_stopped_log_replays_to_its_end_with_its_own_times(tmp_path: Path) -> 
         replay.finished()
         assert replay.stopped
     assert again.frames == live.frames == 37
-    with open_log(tmp_path / "live.h5") as one, open_log(tmp_path / "again.h5") as other:
-        assert other.epoch == one.epoch == "2026-03-01T12:00:00.000000Z"
-        np.testing.assert_array_equal(other["A"].time[:], one["A"].time[:])
+    with open_log(tmp_path / "live.h5") as first, open_log(tmp_path / "again.h5") as other:
+        assert other.epoch == first.epoch == "2026-03-01T12:00:00.000000Z"
+        np.testing.assert_array_equal(other["A"].time[:], first["A"].time[:])

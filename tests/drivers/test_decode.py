@@ -162,8 +162,8 @@ def test_many_bursts_at_once_are_the_same_as_one_by_one(bursts: list[bytes]) -> 
     for chip, length in (("bma180", 7), ("hmc5883", 6)):
         together = decoded(chip, *(burst[:length].hex() for burst in bursts))
         single = [decoded(chip, burst[:length].hex()) for burst in bursts]
-        np.testing.assert_array_equal(together.counts, np.concatenate([one.counts for one in single]))
-        np.testing.assert_array_equal(together.status, np.concatenate([one.status for one in single]))
+        np.testing.assert_array_equal(together.counts, np.concatenate([entry.counts for entry in single]))
+        np.testing.assert_array_equal(together.status, np.concatenate([entry.status for entry in single]))
 
 
 @given(st.tuples(*[st.integers(-8192, 8191)] * 3), st.integers(-128, 127))

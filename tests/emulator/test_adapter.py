@@ -336,8 +336,8 @@ class TestDeviceFiles:
             SMBus(PATH)
 
     def test_two_wires_are_two_devices(self) -> None:
-        one: Any = Tape()
+        first: Any = Tape()
         two: Any = Tape()
-        with device_files({PATH: Adapter(one), "/dev/i2c-11": Adapter(two)}), SMBus(11) as bus:
+        with device_files({PATH: Adapter(first), "/dev/i2c-11": Adapter(two)}), SMBus(11) as bus:
             bus.read_byte(0x53)
-        assert (len(one.log), len(two.log)) == (0, 2)
+        assert (len(first.log), len(two.log)) == (0, 2)

@@ -214,10 +214,10 @@ def test_units_are_the_papers_only_where_array_name_and_range_match() -> None:
 
 
 def test_draws_are_keyed_by_seed_and_name() -> None:
-    one = unit_of("mine", "A", "bma180", 2.0, seed=5)
-    assert unit_of("mine", "A", "bma180", 2.0, seed=5) == one
-    assert unit_of("mine", "B", "bma180", 2.0, seed=5) != one
-    assert unit_of("mine", "A", "bma180", 2.0, seed=6) != one
+    first = unit_of("mine", "A", "bma180", 2.0, seed=5)
+    assert unit_of("mine", "A", "bma180", 2.0, seed=5) == first
+    assert unit_of("mine", "B", "bma180", 2.0, seed=5) != first
+    assert unit_of("mine", "A", "bma180", 2.0, seed=6) != first
 
 
 def test_every_chip_has_tolerances() -> None:

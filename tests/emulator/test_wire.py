@@ -137,16 +137,16 @@ def test_messages_to_two_addresses_in_one_transaction() -> None:
 @given(st.binary(max_size=5), st.integers(0, 8), st.sampled_from([100_000, 400_000, 123_457]), st.integers(0, 6))
 def test_a_transfer_equals_its_messages(write: bytes, read: int, bit_rate_hz: int, appetite: int) -> None:
     whole, parts = Memory(0x53, b"\x01\x02\x03", appetite), Memory(0x53, b"\x01\x02\x03", appetite)
-    one, other = wire_with(whole, bit_rate_hz=bit_rate_hz), wire_with(parts, bit_rate_hz=bit_rate_hz)
+    first, other = wire_with(whole, bit_rate_hz=bit_rate_hz), wire_with(parts, bit_rate_hz=bit_rate_hz)
     answers = []
-    for step in (lambda: one.transfer(0x53, write, read), lambda: by_messages(other, write, read)):
+    for step in (lambda: first.transfer(0x53, write, read), lambda: by_messages(other, write, read)):
         try:
             answers.append(step())
         except OSError as error:
             answers.append(str(error).encode())
     assert answers[0] == answers[1]
     assert whole.calls == parts.calls
-    assert (one.clock.now_ns(), one.scl_clocks, one.transactions) == (
+    assert (first.clock.now_ns(), first.scl_clocks, first.transactions) == (
         other.clock.now_ns(),
         other.scl_clocks,
         other.transactions,

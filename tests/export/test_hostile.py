@@ -29,7 +29,7 @@ def members(tmp_path_factory: pytest.TempPathFactory) -> Members:
     folder = tmp_path_factory.mktemp("npz")
     export(write_run(folder / "run.h5"), folder / "run.npz")
     with zipfile.ZipFile(folder / "run.npz") as archive:
-        return {one: archive.read(one) for one in archive.namelist()}
+        return {entry: archive.read(entry) for entry in archive.namelist()}
 
 
 def packed(path: Path, members: Members, kind: int = zipfile.ZIP_DEFLATED) -> Path:

@@ -45,7 +45,7 @@ def read(path: Path) -> Read:
 def misses(value: Any, schema: Mapping[str, Any], place: str = "") -> list[str]:
     """Where a value violates a JSON Schema, for the keywords that our schemas use (json-schema.org, draft 2020-12)."""
     if "oneOf" in schema:
-        return [] if sum(value == one["const"] for one in schema["oneOf"]) == 1 else [place]
+        return [] if sum(value == entry["const"] for entry in schema["oneOf"]) == 1 else [place]
     kinds = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
     if not isinstance(value, kinds[schema["type"]]) or isinstance(value, bool):
         return [place]
@@ -57,7 +57,7 @@ def misses(value: Any, schema: Mapping[str, Any], place: str = "") -> list[str]:
         result += [f"{place}.{name}" for name in schema["required"] if name not in value]
         result += [f"{place}.{name}" for name in value if name not in schema["properties"]]
         inner = [(name, schema["properties"][name]) for name in value if name in schema["properties"]]
-        result += [miss for name, one in inner for miss in misses(value[name], one, f"{place}.{name}")]
+        result += [miss for name, entry in inner for miss in misses(value[name], entry, f"{place}.{name}")]
     return result
 
 

@@ -87,13 +87,13 @@ def test_each_of_several_sensors_has_a_file(still: Path, tmp_path: Path) -> None
     (tmp_path / "characterise.json").write_text(json.dumps(result))
     written = export(tmp_path / "characterise.json", tmp_path / "i.yaml")
     assert [file.name for file in written.files] == ["i_A.yaml", "i_G.yaml", "i_B.yaml"]
-    one, other = (yaml.safe_load((tmp_path / f"i_{name}.yaml").read_text()) for name in "BA")
-    assert one | {"rostopic": ""} == other | {"rostopic": ""}
+    file_b, file_a = (yaml.safe_load((tmp_path / f"i_{name}.yaml").read_text()) for name in "BA")
+    assert file_b | {"rostopic": ""} == file_a | {"rostopic": ""}
     with pytest.raises(OutputExistsError, match=r"i_A\.yaml"):
         export(tmp_path / "characterise.json", tmp_path / "i.yaml")
     export(tmp_path / "characterise.json", tmp_path / "b.yaml", sensors=["B", "G"])
     assert set(yaml.safe_load((tmp_path / "b.yaml").read_text())) > {"gyroscope_noise_density", "update_rate"}
-    assert one["rostopic"] == "/sensors/B"
+    assert file_b["rostopic"] == "/sensors/B"
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def test_every_column_is_an_array(run: Path) -> None:
         assert head["phases"] == [[0, 20 * MS, "z_up", "+Z"], [20 * MS, 50 * MS, "motion", ""]]
         assert head["events"][0] == [30 * MS, "Acc", "lost", MESSAGE]
         assert head["tables"]["sensors/Baro"]["extra"] == {"AC1": 408, "MD": 2868}
-        assert set(arrays.files) == {"header", *(name for one in head["arrays"].values() for name in one.values())}
+        assert set(arrays.files) == {"header", *(name for entry in head["arrays"].values() for name in entry.values())}
 
 
 def test_a_fused_result_is_exported(fused: Path) -> None:

@@ -125,17 +125,17 @@ def test_a_finished_log_contains_every_field_of_its_headers(tmp_path: Path, writ
         with writer(tmp_path / f"{name}.h5", "Acc", "Gyro", "Baro") as log:
             if kept:
                 log.keep()
-    with h5py.File(tmp_path / "live.h5") as one, h5py.File(tmp_path / "draft.h5") as other:
-        assert set(one) == set(other) == {"sensors", "phases", "events", "plots"}
-        assert set(one.attrs) == set(other.attrs)
+    with h5py.File(tmp_path / "live.h5") as first, h5py.File(tmp_path / "draft.h5") as other:
+        assert set(first) == set(other) == {"sensors", "phases", "events", "plots"}
+        assert set(first.attrs) == set(other.attrs)
         for name in ("Acc", "Gyro", "Baro"):
-            ours, theirs = one["sensors"][name], other["sensors"][name]
+            ours, theirs = first["sensors"][name], other["sensors"][name]
             assert {key: np.asarray(value).tolist() for key, value in ours.attrs.items()} == {
                 key: np.asarray(value).tolist() for key, value in theirs.attrs.items()
             }
             assert set(ours) == set(theirs)
-        assert one["sensors/Baro"].attrs["AC1"] == 408
-        assert one["sensors/Gyro"].attrs["delay_ns"] == 1_500_000
+        assert first["sensors/Baro"].attrs["AC1"] == 408
+        assert first["sensors/Gyro"].attrs["delay_ns"] == 1_500_000
 
 
 @pytest.mark.parametrize(("looks", "free"), [(3, True), (1000, False)])

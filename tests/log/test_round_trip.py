@@ -152,12 +152,12 @@ def test_time_must_increase_within_a_block(tmp_path: Path, writer: Writer, times
 
 
 def test_time_must_increase_across_blocks(tmp_path: Path, writer: Writer) -> None:
-    one = Block(np.array([5]), np.zeros((1, 3), np.int16), np.zeros(1, np.uint16))
+    row = Block(np.array([5]), np.zeros((1, 3), np.int16), np.zeros(1, np.uint16))
     with writer(tmp_path / "t.h5") as log:
-        log.append("Gyro", one)
+        log.append("Gyro", row)
         with pytest.raises(ValueError, match="strictly increasing"):
-            log.append("Gyro", one)
-        log.append("Gyro", one._replace(time=np.array([6])))
+            log.append("Gyro", row)
+        log.append("Gyro", row._replace(time=np.array([6])))
     with open_log(tmp_path / "t.h5") as log:
         assert log["Gyro"].time[:].tolist() == [5, 6]
 

@@ -105,7 +105,7 @@ def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None
         assert sorted(parts) == ["bokeh.min.js", "data:,", "page.css", "page.js"]  # no external resource
         assert [asked(address, part).status for part in ("page.css", "page.js", "bokeh.min.js")] == [200, 200, 200]
         first = json.loads(asked(address, "snapshot.json").text)
-        assert (first["state"], [one["name"] for one in first["sensors"]]) == (
+        assert (first["state"], [entry["name"] for entry in first["sensors"]]) == (
             "being written", ["Acc", "Turned", "Gyro", "Baro"],
         )  # fmt: skip
         figures = json.loads(asked(address, "figures.json").text)

@@ -210,7 +210,7 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
     ]
     assert snapshot.problems == 5
     table = described(snapshot)
-    assert [(one["kind"], one["count"], one["first_s"], one["trouble"]) for one in table["repeated"]] == [
+    assert [(entry["kind"], entry["count"], entry["first_s"], entry["trouble"]) for entry in table["repeated"]] == [
         ("bus", 5, 1.0, False),
         ("lost", 5, 1.0, True),
     ]

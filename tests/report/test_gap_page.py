@@ -134,23 +134,26 @@ def evil() -> Diagnosis:
     return replace(
         diagnosis,
         sentence=EVIL,
-        where=tuple(replace(one, sensor=EVIL, log=EVIL, phase=EVIL, about=EVIL, unit=EVIL) for one in diagnosis.where),
+        where=tuple(
+            replace(entry, sensor=EVIL, log=EVIL, phase=EVIL, about=EVIL, unit=EVIL) for entry in diagnosis.where
+        ),
         causes=tuple(
-            replace(one, effect=EVIL, sensors=(EVIL,), parameters={EVIL: EVIL}, confusable_with=(EVIL,))
-            for one in diagnosis.causes
+            replace(entry, effect=EVIL, sensors=(EVIL,), parameters={EVIL: EVIL}, confusable_with=(EVIL,))
+            for entry in diagnosis.causes
         ),
         unexplained=(replace(where(1, 5.0), sensor=EVIL),),
         next_experiment=EVIL,
         pulls=tuple(replace(pull, sensor=EVIL, quantity=EVIL, unit=EVIL, source=EVIL) for pull in diagnosis.pulls),
         missing=(EVIL,),
-        unshown=tuple(replace(one, effect=EVIL, sensors=(EVIL,), record=EVIL) for one in diagnosis.unshown),
-        uses=tuple(replace(one, name=EVIL, sensor=EVIL, unit=EVIL) for one in diagnosis.uses),
-        judged=tuple(replace(one, effect=EVIL, sensors=(EVIL,)) for one in diagnosis.judged),
+        unshown=tuple(replace(entry, effect=EVIL, sensors=(EVIL,), record=EVIL) for entry in diagnosis.unshown),
+        uses=tuple(replace(entry, name=EVIL, sensor=EVIL, unit=EVIL) for entry in diagnosis.uses),
+        judged=tuple(replace(entry, effect=EVIL, sensors=(EVIL,)) for entry in diagnosis.judged),
         map=replace(diagnosis.map, sensors=names, domains=(EVIL, *DOMAINS[1:])),
         overlays=tuple(
-            replace(one, sensor=EVIL, axis=EVIL, phase=EVIL, x_label=EVIL, y_label=EVIL) for one in diagnosis.overlays
+            replace(entry, sensor=EVIL, axis=EVIL, phase=EVIL, x_label=EVIL, y_label=EVIL)
+            for entry in diagnosis.overlays
         ),
-        recorded=tuple(replace(one, name=EVIL, kind=EVIL) for one in diagnosis.recorded),
+        recorded=tuple(replace(entry, name=EVIL, kind=EVIL) for entry in diagnosis.recorded),
         notes=(EVIL,),
         held_out=EVIL,
         model=EVIL,
@@ -370,7 +373,7 @@ def test_as_json_is_strict_json(diagnosis: Diagnosis) -> None:
     assert [cause["effect"] for cause in read["causes"]] == [cause.effect for cause in diagnosis.causes]
     shown = diagnosis.map.before.tolist()
     assert read["map"]["before"] == [[None if cell != cell else cell for cell in row] for row in shown]
-    assert read["where"] == [json.loads(json.dumps(vars(one))) for one in diagnosis.where]
+    assert read["where"] == [json.loads(json.dumps(vars(entry))) for entry in diagnosis.where]
 
 
 def test_every_effect_has_a_meaning() -> None:
@@ -400,7 +403,7 @@ def test_a_map_draws_values_that_are_not_finite() -> None:
 
 
 def test_axes_are_logarithmic_where_usual() -> None:
-    panels = [overlay_figure(one).axes[0] for one in overlays()]
+    panels = [overlay_figure(entry).axes[0] for entry in overlays()]
     assert [(panel.get_xscale(), panel.get_yscale()) for panel in panels] == [
         ("log", "log"),
         ("log", "log"),

@@ -198,9 +198,9 @@ def columns(stages: tuple[Row, ...]) -> Iterator[tuple[str, Any]]:
             yield f"{type(stage).__name__}.{item.name}", getattr(stage, item.name)
 
 
-def differing(one: tuple[Row, ...], other: tuple[Row, ...]) -> set[str]:
+def differing(first: tuple[Row, ...], other: tuple[Row, ...]) -> set[str]:
     """The columns that are not the same, bit for bit; a number is the same as one in every row."""
-    pairs = zip(columns(one), columns(other), strict=True)
+    pairs = zip(columns(first), columns(other), strict=True)
     return {name for (name, value), (_, changed) in pairs if not np.all(np.equal(value, changed))}
 
 

@@ -80,7 +80,7 @@ def kinds(effects: tuple[Effect, ...]) -> list[str]:
     return [effect.name for effect in effects]
 
 
-def one(kind: type[Effect], effects: tuple[Effect, ...]) -> Effect:
+def effect_of(kind: type[Effect], effects: tuple[Effect, ...]) -> Effect:
     (result,) = (effect for effect in effects if isinstance(effect, kind))
     return result
 
@@ -105,8 +105,8 @@ def test_an_effect_is_taken_from_the_most_specific_table(
 ) -> None:
     effects = drawn(GOOD, sensor("bma180", name, range_), population=population)
     assert kinds(effects) == ["scale", "bias", "white_noise"]  # in physical order, not the file's
-    assert one(Bias, effects) == Bias(bias)  # type: ignore[arg-type]
-    result = one(WhiteNoise, effects)
+    assert effect_of(Bias, effects) == Bias(bias)  # type: ignore[arg-type]
+    result = effect_of(WhiteNoise, effects)
     assert isinstance(result, WhiteNoise)
     assert result.rms[0] == noise
 
@@ -181,8 +181,8 @@ def test_noise_scales_with_the_root_of_the_bandwidth(
     header = sensor(chip, "S", **settings_of)
     head = f'[model]\nname = "m"\n[[design]]\nchip = "{chip}"\n'
     noise = f"white_noise.rms_{header.unit} = {printed}\n"
-    assert one(WhiteNoise, drawn(head + noise, header)) == WhiteNoise(printed)  # type: ignore[arg-type]
-    result = one(WhiteNoise, drawn(head + f"noise_bandwidth_hz = {at_hz}\n" + noise, header))
+    assert effect_of(WhiteNoise, drawn(head + noise, header)) == WhiteNoise(printed)  # type: ignore[arg-type]
+    result = effect_of(WhiteNoise, drawn(head + f"noise_bandwidth_hz = {at_hz}\n" + noise, header))
     assert isinstance(result, WhiteNoise)
     assert result.rms == pytest.approx((expected,) * 3, rel=tolerance)
 

@@ -150,10 +150,10 @@ def _accepted(kind: type[Effect], parameters: dict[str, Any]) -> bool:
     return True
 
 
-def same(one: Effect, other: Effect) -> bool:
+def same(first: Effect, other: Effect) -> bool:
     """Equal, a nan being equal to a nan."""
-    pairs = [(getattr(one, item.name), getattr(other, item.name)) for item in fields(one)]
-    return type(one) is type(other) and all(a == b or (a != a and b != b) for a, b in pairs)
+    pairs = [(getattr(first, item.name), getattr(other, item.name)) for item in fields(first)]
+    return type(first) is type(other) and all(a == b or (a != a and b != b) for a, b in pairs)
 
 
 @pytest.mark.parametrize("name", some(EFFECTS, 11))

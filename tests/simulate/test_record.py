@@ -87,9 +87,9 @@ def test_neither_block_nor_workers_change_a_value(
     write_log(simulation(array), tmp_path / "one.h5")
     with ThreadPoolExecutor(workers) as threads:
         write_log(simulation(array), tmp_path / "other.h5", division=Division(block_rows, threads, workers))
-    one, other = datasets(tmp_path / "one.h5"), datasets(tmp_path / "other.h5")
-    assert one.keys() == other.keys()
-    for name, values in one.items():
+    first, other = datasets(tmp_path / "one.h5"), datasets(tmp_path / "other.h5")
+    assert first.keys() == other.keys()
+    for name, values in first.items():
         np.testing.assert_array_equal(values, other[name], name)
 
 

@@ -301,7 +301,9 @@ def test_a_sensor_can_be_read_in_the_place_of_another(constant: Any) -> None:
         "m",
     )
     effects = effects_of(plan, model, 0)
-    places = {name: one.position_mm for name, own in effects.items() for one in own if isinstance(one, SizeEffect)}
+    places = {
+        name: entry.position_mm for name, own in effects.items() for entry in own if isinstance(entry, SizeEffect)
+    }
     assert places == {"A": (0.0, -30.0, 0.0), "B": (0.0, -30.0, 0.0)}
     with pytest.raises(ValueError, match=r"^channel_swap of A: C: not in this array; it has A, B$"):
         Simulation(plan, motion, {"A": (ChannelSwap("C", "place"),)})

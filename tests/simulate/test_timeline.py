@@ -162,7 +162,7 @@ def test_an_even_line_is_completed(
     """Times off the grid by a twentieth of its period at most, and by so little that the longest hole's rows can be
     counted where the usual interval is known from one; lost rows are restored to within that.
     """
-    kept = np.array([True, True, *(not one for one in lost), True])
+    kept = np.array([True, True, *(not entry for entry in lost), True])
     rows = np.flatnonzero(kept)
     off = min(0.05, 0.2 / (np.diff(rows).max() + 1))
     apart = np.random.default_rng(seed).uniform(-off, off, len(kept)) * period_ns

@@ -54,8 +54,8 @@ def test_logs_of_two_cases_differ_in_their_numbers_only(tmp_path):
     other, _ = written(tmp_path, "b", ("mains_ripple", 3.0, ("Gyro3",)), ("log_creep", 7.0, ("BMA3",)), seed=77)
     assert [path.name for path in plain] == [path.name for path in other]
     assert [path.name for path in plain] == ["static.h5", "boot_01.h5", "boot_02.h5", "motion.h5"]
-    for one, two in zip(plain, other, strict=True):
-        assert outside(one) == outside(two)
+    for first, two in zip(plain, other, strict=True):
+        assert outside(first) == outside(two)
         text = two.read_bytes().lower()
         assert not any(word in text for word in (b"severity", b"mechanism", b"ripple", b"creep", b"seed", b"drawn"))
         with open_log(two) as log:
@@ -66,9 +66,9 @@ def test_logs_of_two_cases_differ_in_their_numbers_only(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["trapped_charges", "scheduler_latency"])
 def test_equal_seeds_give_equal_logs_and_other_seeds_other_logs(tmp_path, name):
-    one, two, three = (written(tmp_path, f"{at}", (name, 2.0, ()), seed=seed)[0] for at, seed in enumerate((3, 3, 4)))
-    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
-    assert one[0].read_bytes() != three[0].read_bytes()
+    first, two, three = (written(tmp_path, f"{at}", (name, 2.0, ()), seed=seed)[0] for at, seed in enumerate((3, 3, 4)))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in two]
+    assert first[0].read_bytes() != three[0].read_bytes()
 
 
 @pytest.mark.slow
@@ -78,7 +78,7 @@ def test_units_are_the_same_and_noise_differs_between_logs(tmp_path):
         readings = [log["Gyro3"].counts[:64] for log in (static, first, second)]
         limit = 5 * readings[0].std(axis=0) / np.sqrt(64 / 2)
         assert (np.abs(readings[0].mean(axis=0) - readings[1].mean(axis=0)) < limit).all()
-        assert not any(np.array_equal(one, two) for one, two in combinations(readings, 2))
+        assert not any(np.array_equal(earlier, later) for earlier, later in combinations(readings, 2))
         assert [phase.name for log in (static, first, second) for phase in log.phases] == ["static", "run 1", "run 2"]
 
 
@@ -163,7 +163,7 @@ def test_every_mechanism_can_be_recorded_at_severity_20(tmp_path, name):
 
 
 def test_the_plan_of_the_paper_takes_nine_minutes_of_emulated_time():
-    assert sum(one.seconds * one.logs for one in EXPERIMENTS.values()) == pytest.approx(647.0)
+    assert sum(entry.seconds * entry.logs for entry in EXPERIMENTS.values()) == pytest.approx(647.0)
 
 
 def test_the_command_writes_a_case_and_refuses_bad_arguments(tmp_path, capsys):

@@ -106,7 +106,7 @@ def test_the_output_filter_colours_noise_as_scipys_butterworth_does():
 
 def test_a_filter_narrower_than_the_registers_reduces_the_noise():
     element = board(OutputFilter(5.0), "Gyro", noisy=True).element(
-        next(one for one in board(OutputFilter(), "Gyro").sensors.values() if one.name == "Gyro")
+        next(entry for entry in board(OutputFilter(), "Gyro").sensors.values() if entry.name == "Gyro")
     )
     result = np.array([element.sample(at, 250.0, 100.0) for at in every(200, 4000)])
     density = math.sqrt(100.0 / 100.0)  # 1 rms in 1 Hz is 10 rms in 100 Hz: a density of 1
@@ -173,12 +173,12 @@ def test_a_motor_spins_up_to_its_speed():
 
 def test_units_differ_in_direction_and_runs_in_random_draws():
     creep = MainsRipple(peak_dps=1.0)
-    one, other = (errors(creep, name, every(3, 300)) for name in ("Gyro", "Gyro twin"))
-    assert not np.allclose(one.std(axis=0), other.std(axis=0), rtol=0.01)
+    first, other = (errors(creep, name, every(3, 300)) for name in ("Gyro", "Gyro twin"))
+    assert not np.allclose(first.std(axis=0), other.std(axis=0), rtol=0.01)
     again = errors(creep, "Gyro", every(3, 300), run=1)
-    assert not np.allclose(one, again)
-    assert np.allclose(one.std(axis=0) / one.std(), again.std(axis=0) / again.std(), rtol=0.01)
-    assert np.array_equal(one, errors(creep, "Gyro", every(3, 300)))
+    assert not np.allclose(first, again)
+    assert np.allclose(first.std(axis=0) / first.std(), again.std(axis=0) / again.std(), rtol=0.01)
+    assert np.array_equal(first, errors(creep, "Gyro", every(3, 300)))
 
 
 def test_mechanisms_depend_on_the_time_since_power_on():

@@ -41,45 +41,47 @@ def force(x: float, y: float, z: float):
     return lambda at_ns: felt
 
 
-def one(mechanism, name, world=None, at_ns=S, **settings):
+def reading(mechanism, name, world=None, at_ns=S, **settings):
     """A single reading (3,)."""
     return samples(board(mechanism, name, world=world, **settings), name, [at_ns])[0]
 
 
 def test_a_reference_three_percent_high_reduces_all_readings():
-    assert one(ReferenceVoltage(0.03), "BMA") == pytest.approx([0, 0, 1 / 1.03])
+    assert reading(ReferenceVoltage(0.03), "BMA") == pytest.approx([0, 0, 1 / 1.03])
 
 
 def test_a_tilted_package_measures_the_same_force_in_rotated_axes():
-    upright, sideways = one(PackageTilt(2.0), "BMA"), one(PackageTilt(2.0), "BMA", force(1, 0, 0))
+    upright, sideways = reading(PackageTilt(2.0), "BMA"), reading(PackageTilt(2.0), "BMA", force(1, 0, 0))
     assert np.linalg.norm(upright) == pytest.approx(1.0)
     assert upright @ sideways == pytest.approx(0.0, abs=1e-12)
-    tilts = [np.degrees(np.arccos(axis @ one(PackageTilt(2.0), "BMA", force(*axis)))) for axis in np.eye(3)]
+    tilts = [np.degrees(np.arccos(axis @ reading(PackageTilt(2.0), "BMA", force(*axis)))) for axis in np.eye(3)]
     assert max(tilts) <= 2.0 + 1e-6
     squares = np.sum((2 - 2 * np.cos(np.radians(tilts))) / (2 - 2 * math.cos(math.radians(2.0))))
     assert squares == pytest.approx(2.0)  # the trace of a rotation is 1 + 2 cos, for any axis
 
 
 def test_a_quarter_turn_swaps_x_and_y():
-    assert one(RotatedPackage(), "BMA", force(0.3, 0.5, 0.7)) == pytest.approx([0.5, -0.3, 0.7])
+    assert reading(RotatedPackage(), "BMA", force(0.3, 0.5, 0.7)) == pytest.approx([0.5, -0.3, 0.7])
 
 
 def test_the_scale_grows_as_the_plate_gap_closes():
-    assert one(PlateGap(gap_g=80.0), "BMA")[2] == pytest.approx(80 / 79)
-    assert one(PlateGap(gap_g=80.0), "BMA", force(0, 0, -1))[2] == pytest.approx(-80 / 81)
+    assert reading(PlateGap(gap_g=80.0), "BMA")[2] == pytest.approx(80 / 79)
+    assert reading(PlateGap(gap_g=80.0), "BMA", force(0, 0, -1))[2] == pytest.approx(-80 / 81)
 
 
 def test_a_pendulous_gyroscope_is_sensitive_only_to_force_across_its_axis():
-    pulls = [one(DriveImbalance(0.3), "Gyro", force(*axis)) for axis in np.eye(3)]
+    pulls = [reading(DriveImbalance(0.3), "Gyro", force(*axis)) for axis in np.eye(3)]
     for axis, pull in zip(np.eye(3), pulls, strict=True):
         assert pull @ axis == pytest.approx(0.0, abs=1e-12)
     assert np.allclose(np.array(pulls), -np.array(pulls).T)  # a vector product is antisymmetric
     assert np.sum(np.square(pulls)) == pytest.approx(2 * 3 * 0.3**2)
-    assert one(DriveImbalance(0.3), "Gyro", force(0, 0, 2)) == pytest.approx(2 * pulls[2])
+    assert reading(DriveImbalance(0.3), "Gyro", force(0, 0, 2)) == pytest.approx(2 * pulls[2])
 
 
 def test_the_thermistor_bow_is_even_about_room_temperature():
-    at = {degc: one(ThermistorBow(50e-6), "BMA", warm(lambda _, degc=degc: degc)) for degc in (5.0, 25.0, 35.0, 45.0)}
+    at = {
+        degc: reading(ThermistorBow(50e-6), "BMA", warm(lambda _, degc=degc: degc)) for degc in (5.0, 25.0, 35.0, 45.0)
+    }
     assert at[25.0] == pytest.approx([0, 0, 1])
     bow = at[45.0] - [0, 0, 1]
     assert at[5.0] - [0, 0, 1] == pytest.approx(bow)
@@ -88,7 +90,7 @@ def test_the_thermistor_bow_is_even_about_room_temperature():
 
 
 def test_the_gain_resistor_raises_gain_by_the_same_factor_for_every_degree():
-    got = [one(GainResistor(1e-3), "BMA", warm(lambda _, degc=degc: degc))[2] for degc in (25.0, 35.0, 45.0)]
+    got = [reading(GainResistor(1e-3), "BMA", warm(lambda _, degc=degc: degc))[2] for degc in (25.0, 35.0, 45.0)]
     assert got[0] == 1.0
     assert got[2] == pytest.approx(got[1] ** 2)
     assert got[1] == pytest.approx(math.exp(0.01))
@@ -219,9 +221,9 @@ def test_a_delayed_chip_measures_the_earlier_value_of_a_ramp():
 
 def test_a_lever_arm_adds_centripetal_and_tangential_force():
     steady = turning(lambda at_s: (0.0, 0.0, 3.0))
-    result = one(LeverArm(0.05), "BMA", steady) * STANDARD_GRAVITY
+    result = reading(LeverArm(0.05), "BMA", steady) * STANDARD_GRAVITY
     speeding = turning(lambda at_s: (0.0, 0.0, 4.0 * (at_s - 1.0)))
-    tangential = one(LeverArm(0.05), "BMA", speeding) * STANDARD_GRAVITY
+    tangential = reading(LeverArm(0.05), "BMA", speeding) * STANDARD_GRAVITY
     assert result[2] == 0.0
     across = np.linalg.norm(result) / 9.0  # the arm's part across the axis
     assert 0 < across <= 0.05
@@ -245,11 +247,11 @@ def test_a_drifting_supply_affects_all_chips_of_a_kind_equally():
     drift = SupplyDrift(drift_v=0.02, drift_s=0.5, per_v_dps=50.0)
     fitted = board(drift, "Gyro", "Gyro twin")
     times = every(20, 6000)
-    one_, twin = (samples(fitted, name, times) for name in ("Gyro", "Gyro twin"))
-    axis = int(np.argmax(one_.std(axis=0)))
-    assert np.corrcoef(one_[:, axis], twin[:, axis])[0, 1] > 0.999
-    assert one_.std() == pytest.approx(1.0, rel=0.25)
-    lag = np.corrcoef(one_[25:, axis], one_[:-25, axis])[0, 1]
+    first, twin = (samples(fitted, name, times) for name in ("Gyro", "Gyro twin"))
+    axis = int(np.argmax(first.std(axis=0)))
+    assert np.corrcoef(first[:, axis], twin[:, axis])[0, 1] > 0.999
+    assert first.std() == pytest.approx(1.0, rel=0.25)
+    lag = np.corrcoef(first[25:, axis], first[:-25, axis])[0, 1]
     assert lag == pytest.approx(math.exp(-1), abs=0.15)
 
 

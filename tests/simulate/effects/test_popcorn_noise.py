@@ -46,7 +46,7 @@ def test_a_rare_level_has_its_share_and_durations(place: MakePlace, analog: Make
     rows = np.array([0, 5, 16_383, 16_384, 16_390])
     values = [effect.analog(analog(0, 16_391), place(rows_per_s=10.0, seed=seed)).value for seed in range(300)]
     np.testing.assert_allclose(np.unique(values[0]), [-0.4, 1.6])
-    result = np.concatenate([one[rows].T for one in values])
+    result = np.concatenate([entry[rows].T for entry in values])
     wanted = 0.64 * np.exp(-0.4 / 0.32 * np.abs(np.subtract.outer(rows, rows)) / 10)
     # The squared product of two readings has a mean of at most their fourth moment, 1.6^4 x 0.2 + 0.4^4 x 0.8 = 1.33:
     # 15 products and 5 means of 900, beyond 5 standard errors: 1e-5.
@@ -82,8 +82,8 @@ def test_axes_switch_independently(place: MakePlace, analog: MakeAnalog) -> None
     value = PopcornNoise(2.0, 0.5).analog(analog(0, 100_000), place(rows_per_s=1.0)).value
     # exp(-2 x 0.5) = 0.37 from row to row: 100 000 rows are as good as 100 000 (1 - 0.37^2) / (1 + 0.37^2) = 76 000
     # independent products; three pairs beyond 5 standard errors: 2e-6.
-    for one, other in ((0, 1), (0, 2), (1, 2)):
-        assert abs((value[:, one] * value[:, other]).mean()) < 5 / np.sqrt(76_000)
+    for first, other in ((0, 1), (0, 2), (1, 2)):
+        assert abs((value[:, first] * value[:, other]).mean()) < 5 / np.sqrt(76_000)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -97,9 +97,9 @@ def test_allan_deviation_of_a_random_walk_is_that_of_the_standard(place: MakePla
 def test_only_common_mode_is_shared_by_sensors_of_a_design(place: MakePlace, analog: MakeAnalog) -> None:
     sensors = [header("bma180", "A"), header("bma180", "B", axes="-X-Y+Z"), header("l3g4200d", "C")]
     for effect in KINDS:
-        one, twin, other = (added(effect, place(sensor), analog, 0, 500) for sensor in sensors)
-        assert np.array_equal(one, twin) == (effect.name == "common_mode")
-        assert not np.array_equal(one, other)
+        first, twin, other = (added(effect, place(sensor), analog, 0, 500) for sensor in sensors)
+        assert np.array_equal(first, twin) == (effect.name == "common_mode")
+        assert not np.array_equal(first, other)
 
 
 @pytest.mark.slow
