@@ -442,14 +442,14 @@ def test_an_ignored_hang_up_stays_ignored(here: Path) -> None:
 
 
 def test_a_closed_terminal_does_not_end_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Gone(io.StringIO):
+    class ClosedTerminal(io.StringIO):
         def isatty(self) -> bool:
             return True
 
         def write(self, text: str, /) -> int:
             raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(sys, "stderr", Gone())
+    monkeypatch.setattr(sys, "stderr", ClosedTerminal())
     screen = LogScreen("r.h5", 50, None)
     screen.event(Event(0, "A", "lost", "no reading"))
     screen.counted(RecordingCounts(frames=50))

@@ -65,7 +65,7 @@ def test_two_time_outs_in_a_row_pause_the_bus() -> None:
     assert not adapter.note_time_out(5000 * MS)
 
 
-class Dawdling:
+class InterruptedBus:
     """An open bus whose program is interrupted for 8 ms after some readings of one chip, before it can look at the
     clock.
     """
@@ -91,7 +91,7 @@ def test_interrupted_readings_are_counted_and_their_times_are_within_half(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, G=0)
-    bus = Dawdling(tapped(array).bus, 0x68)
+    bus = InterruptedBus(tapped(array).bus, 0x68)
     done = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=4)  # type: ignore[arg-type]
     assert done.uncertain == 20
     assert (done.late, done.missed) == (0, 0)
@@ -102,7 +102,7 @@ def test_interrupted_readings_are_counted_and_their_times_are_within_half(
         assert (np.diff(np.asarray(log["A"].time)) == 20 * MS).all()
 
 
-class HungBus(Dawdling):
+class HungBus(InterruptedBus):
     """An open bus whose clock wire is held low from 1 s to 1.13 s: each transaction then times out after 30 ms.
     At 2 s the program is not run for 55 ms.
     """

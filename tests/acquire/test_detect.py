@@ -21,7 +21,7 @@ from imuarray.cli import main
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
 
-def found(array: Any, board: Any, folder: Path, number: int = 121) -> list[Detection]:
+def detections(array: Any, board: Any, folder: Path, number: int = 121) -> list[Detection]:
     (folder / "board.toml").write_text(board.text)
     with open_bus(f"emulated:?errno={number}&board={folder / 'board.toml'}", array) as bus:
         return detect(array, bus)
@@ -37,7 +37,7 @@ def test_the_papers_array_is_detected_as_configured() -> None:
 
 @pytest.mark.parametrize("number", [6, 121])
 def test_a_missing_chip_is_reported(an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
-    lines = found(an_array(A=0, B=1), an_array(A=0), tmp_path, number)
+    lines = detections(an_array(A=0, B=1), an_array(A=0), tmp_path, number)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", True), ("A", True), ("B", False)]
     assert lines[2] == Detection("channel 1 address 0x40", "B", "bma180", "no chip acknowledges this address", False)
 
@@ -52,7 +52,7 @@ def test_a_chip_of_wrong_identity_is_reported(an_array: Callable[..., Any], tapp
 
 
 def test_unexpected_chips_are_listed(an_array: Callable[..., Any], tmp_path: Path) -> None:
-    lines = found(an_array(A=0), an_array(A=0, B=3, M=1, P=0), tmp_path)
+    lines = detections(an_array(A=0), an_array(A=0, B=3, M=1, P=0), tmp_path)
     assert all(line.ok for line in lines)
     assert {(line.place, line.found) for line in lines if not line.sensor} == {
         ("channel 0 address 0x77", "bmp180"),
@@ -64,7 +64,7 @@ def test_unexpected_chips_are_listed(an_array: Callable[..., Any], tmp_path: Pat
 def test_a_sensor_in_another_place_is_missing_here_and_unexpected_there(
     an_array: Callable[..., Any], tmp_path: Path
 ) -> None:
-    lines = found(an_array(A=0), an_array(A=2), tmp_path)
+    lines = detections(an_array(A=0), an_array(A=2), tmp_path)
     assert [(line.place, line.ok, line.expected) for line in lines[1:]] == [
         ("channel 0 address 0x53", False, "adxl345"),
         ("channel 2 address 0x53", True, ""),
@@ -72,7 +72,7 @@ def test_a_sensor_in_another_place_is_missing_here_and_unexpected_there(
 
 
 def test_a_missing_mux_is_reported(an_array: Callable[..., Any], tmp_path: Path) -> None:
-    lines = found(an_array(A=0), an_array(0x74, A=0), tmp_path)
+    lines = detections(an_array(A=0), an_array(0x74, A=0), tmp_path)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", False), ("A", False)]
     assert lines[0].found.startswith("no answer")
 
@@ -93,7 +93,7 @@ def test_a_bus_without_chips_is_reported(
 def test_detects_chips_without_a_mux(tmp_path: Path) -> None:
     text = '[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
     stranger = text + '[[sensor]]\nname="P"\nchip="bmp180"\naddress=0x77\n'
-    lines = found(parse_array(text), parse_array(stranger), tmp_path)
+    lines = detections(parse_array(text), parse_array(stranger), tmp_path)
     assert [(line.place, line.sensor, line.found) for line in lines] == [
         ("trunk address 0x53", "A", "adxl345"),
         ("trunk address 0x77", "", "bmp180"),
@@ -109,14 +109,14 @@ def test_detection_changes_no_chip(an_array: Callable[..., Any], tapped: Callabl
 
 
 def test_unexpected_chips_behind_a_mux_at_0x77_are_listed(an_array: Callable[..., Any], tmp_path: Path) -> None:
-    lines = found(an_array(0x77, A=0), an_array(0x77, A=0, M=1), tmp_path)
+    lines = detections(an_array(0x77, A=0), an_array(0x77, A=0, M=1), tmp_path)
     assert [(line.place, line.found) for line in lines if not line.sensor] == [
         ("channel 1 address 0x1e", "hmc5883 or hmc5883l")
     ]
 
 
 def test_an_unexpected_chip_on_the_trunk_is_listed_once(an_array: Callable[..., Any], tmp_path: Path) -> None:
-    lines = found(an_array(A=0), an_array(A=0, B=None), tmp_path)
+    lines = detections(an_array(A=0), an_array(A=0, B=None), tmp_path)
     assert [line.found for line in lines if not line.sensor] == ["bma180"]
 
 

@@ -73,14 +73,14 @@ def logs(tmp_path: Path) -> Path:
     return folder
 
 
-def wrong(checks: list[Check]) -> list[tuple[str, str, str]]:
+def failures(checks: list[Check]) -> list[tuple[str, str, str]]:
     assert all(len(check.found.splitlines()) == 1 and check.found.isprintable() for check in checks)
     assert all(check.advice for check in checks if not check.ok)
     return [(check.name, check.found, check.advice) for check in checks if not check.ok]
 
 
-def only(checks: list[Check]) -> tuple[str, str, str]:
-    (result,) = wrong(checks)
+def only_failure(checks: list[Check]) -> tuple[str, str, str]:
+    (result,) = failures(checks)
     return result
 
 
@@ -89,7 +89,7 @@ URL = "i2c:/dev/i2c-1"
 
 def test_a_working_machine_passes_all_checks(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     checks = examine(array, URL, logs, 50, machine=machine, talk=lambda: [Check("sensors", True, "all 2 answer")])
-    assert wrong(checks) == []
+    assert failures(checks) == []
     results = {check.name: check.found for check in checks}
     assert results["adapter"] == "/dev/i2c-1: bcm2835 (i2c@7e804000)"
     assert "group i2c, mode 0660" in results["permission"]
@@ -105,7 +105,7 @@ def test_the_scl_clocks_of_a_frame_are_counted(array: ArrayConfig) -> None:
 
 def test_a_machine_without_a_bus_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     shutil.rmtree(machine.root / "sys")
-    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    name, result, advice = only_failure(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert (name, result) == ("adapter", "this machine has no I2C bus")
     assert "dtparam=i2c_arm=on" in advice
 
@@ -113,7 +113,7 @@ def test_a_machine_without_a_bus_is_reported(array: ArrayConfig, machine: Machin
 def test_a_module_that_is_not_loaded_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     (machine.root / "sys/class/i2c-dev").rmdir()
     (machine.root / "dev/i2c-1").unlink()
-    name, _, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    name, _, advice = only_failure(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert name == "module i2c-dev"
     assert "modprobe i2c-dev" in advice
 
@@ -121,7 +121,7 @@ def test_a_module_that_is_not_loaded_is_reported(array: ArrayConfig, machine: Ma
 def test_other_buses_are_listed_where_the_configured_bus_is_missing(
     array: ArrayConfig, machine: Machine, logs: Path
 ) -> None:
-    name, result, _ = only(examine(array, "i2c:/dev/i2c-7", logs, 50, machine=machine, talk=pytest.fail))
+    name, result, _ = only_failure(examine(array, "i2c:/dev/i2c-7", logs, 50, machine=machine, talk=pytest.fail))
     assert (name, result) == ("adapter", "/dev/i2c-7; there are /dev/i2c-1")
 
 
@@ -131,25 +131,25 @@ def test_a_missing_permission_is_reported(
 ) -> None:
     (machine.root / "dev/i2c-1").chmod(mode)
     stranger = replace(machine, groups=frozenset({USER}))
-    name, _, advice = only(examine(array, URL, logs, 50, machine=stranger, talk=pytest.fail))
+    name, _, advice = only_failure(examine(array, URL, logs, 50, machine=stranger, talk=pytest.fail))
     assert name == "permission"
     assert message in advice
-    assert wrong(examine(array, URL, logs, 50, machine=replace(stranger, user=0))) == []
+    assert failures(examine(array, URL, logs, 50, machine=replace(stranger, user=0))) == []
 
 
 def test_a_bus_that_is_too_slow_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     clock = machine.root / "sys/bus/i2c/devices/i2c-1/of_node/clock-frequency"
     clock.write_bytes((10_000).to_bytes(4, "big"))
-    name, result, advice = only(examine(array, URL, logs, 50, machine=machine))
+    name, result, advice = only_failure(examine(array, URL, logs, 50, machine=machine))
     assert (name, result) == ("bus clock", "10 kHz: at most 48 frames of this array a second")  # 10000 / 207
     assert "i2c_arm_baudrate" in advice
     clock.unlink()
-    assert wrong(examine(array, URL, logs, 50, machine=machine)) == []  # an unknown clock is no failure
+    assert failures(examine(array, URL, logs, 50, machine=machine)) == []  # an unknown clock is no failure
 
 
 def test_an_adapter_of_smbus_alone_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     smbus = replace(machine, functionality=lambda device: SMBUS_ONLY)
-    name, result, _ = only(examine(array, URL, logs, 50, machine=smbus, talk=pytest.fail))
+    name, result, _ = only_failure(examine(array, URL, logs, 50, machine=smbus, talk=pytest.fail))
     assert (name, result) == ("abilities", "/dev/i2c-1: SMBus only")
 
 
@@ -163,7 +163,7 @@ def bind(machine: Machine, place: str, driver: str) -> Path:
 
 def test_a_sensor_that_a_kernel_driver_owns_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     bind(machine, "1-0053", "adxl34x")
-    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    name, result, advice = only_failure(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert (name, result) == ("kernel driver", "/dev/i2c-1 0x53 (A) belongs to adxl34x")
     assert advice == "echo 1-0053 | sudo tee /sys/bus/i2c/drivers/adxl34x/unbind"
 
@@ -172,7 +172,7 @@ def test_a_multiplexer_that_a_kernel_driver_owns_is_reported(array: ArrayConfig,
     mux = bind(machine, "1-0070", "pca954x")
     for channel in range(2):
         (mux / f"channel-{channel}").symlink_to(f"../i2c-{11 + channel}")
-    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    name, result, advice = only_failure(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert (name, result) == ("kernel driver", "/dev/i2c-1 0x70 (the multiplexer) belongs to pca954x")
     assert "channel-0 is /dev/i2c-11, channel-1 is /dev/i2c-12" in advice
 
@@ -182,7 +182,7 @@ def test_a_multiplexer_at_the_barometers_address_is_reported(machine: Machine, l
         ARRAY.replace("0x70", "0x77").replace('chip = "bmp180"', 'chip = "adxl345"').replace("rate_hz = 8", "range = 2")
     )
     array = parse_array(text.replace("address = 0x77\nrange", "address = 0x1D\nrange"))
-    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    name, result, advice = only_failure(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert (name, result) == ("address 0x77", "the multiplexer has the BMP180's address")
     assert "0x70 to 0x76" in advice
 
@@ -194,7 +194,7 @@ def test_a_multiplexer_of_the_kernel_at_the_barometers_address_is_reported(machi
     (devices / "i2c-11/mux_device").symlink_to("../1-0077")
     (machine.root / "dev/i2c-11").touch()
     (machine.root / "dev/i2c-11").chmod(0o666)
-    name, result, _ = only(examine(array, "i2c:", logs, 5, machine=machine, talk=pytest.fail))
+    name, result, _ = only_failure(examine(array, "i2c:", logs, 5, machine=machine, talk=pytest.fail))
     assert (name, result) == ("address 0x77", "P: the multiplexer before it has its address")
 
 
@@ -205,29 +205,29 @@ def test_errors_of_opening_and_talking_are_reported(array: ArrayConfig, machine:
     def hung() -> list[Check]:
         raise OSError(110, "Connection timed out")
 
-    assert only(examine(array, URL, logs, 50, machine=machine, talk=locked))[0] == "opening"
-    name, result, advice = only(examine(array, URL, logs, 50, machine=machine, talk=hung))
+    assert only_failure(examine(array, URL, logs, 50, machine=machine, talk=locked))[0] == "opening"
+    name, result, advice = only_failure(examine(array, URL, logs, 50, machine=machine, talk=hung))
     assert (name, result) == ("talking", "Connection timed out (errno 110)")
     assert "holds a wire low" in advice
 
 
 def test_a_serial_port_is_checked(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     url = "serial:/dev/ttyACM0?baud=921600"
-    assert only(examine(array, url, logs, 50, machine=machine, talk=pytest.fail))[:2] == (
+    assert only_failure(examine(array, url, logs, 50, machine=machine, talk=pytest.fail))[:2] == (
         "port",
         "/dev/ttyACM0; there are none",
     )
     shutil.copy2(machine.root / "dev/i2c-1", machine.root / "dev/ttyACM0")
     (machine.root / "dev/ttyACM0").chmod(0o666)
-    assert wrong(examine(array, url, logs, 50, machine=machine, talk=list)) == []
+    assert failures(examine(array, url, logs, 50, machine=machine, talk=list)) == []
     (machine.root / "proc/77").mkdir(parents=True)
     (machine.root / "proc/77/comm").write_text("ModemManager\n")
-    assert only(examine(array, url, logs, 50, machine=machine))[0] == "ModemManager"
+    assert only_failure(examine(array, url, logs, 50, machine=machine))[0] == "ModemManager"
 
 
 def test_free_space_on_the_disk_is_checked(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     nearly_full = replace(machine, free_bytes=lambda folder: 70 << 20)
-    name, result, _ = only(examine(array, URL, logs, 50, machine=nearly_full))
+    name, result, _ = only_failure(examine(array, URL, logs, 50, machine=nearly_full))
     assert name == "disk"
     # 50 rows of 8 + 6 + 2 bytes and 8 of 8 + 8 + 2 + 16, twice: 2144 bytes/s; 70 - 64 - 1 MiB are for them
     assert result == f"70 MiB free: about {5 * 2**20 / 2144 / 3600:.1f} h at 50 frames a second"
@@ -235,7 +235,7 @@ def test_free_space_on_the_disk_is_checked(array: ArrayConfig, machine: Machine,
         plenty = replace(machine, free_bytes=lambda folder, free=gigabytes: int(free * 2**30))
         result = {check.name: check.found for check in examine(array, URL, logs, 50, machine=plenty)}
         assert f": about {about} at" in result["disk"]
-    assert only(examine(array, URL, logs / "none", 50, machine=machine))[0] == "folder"
+    assert only_failure(examine(array, URL, logs / "none", 50, machine=machine))[0] == "folder"
 
 
 def test_journals_and_drafts_of_earlier_recordings_are_reported(
@@ -247,7 +247,7 @@ def test_journals_and_drafts_of_earlier_recordings_are_reported(
     (logs / f".now.h5.{os.getpid()}.part").touch()
     (machine.root / "proc" / str(os.getpid())).mkdir(parents=True)
     lock = JournalLock(logs / "now.h5", create=True)
-    assert [(name, advice) for name, _, advice in wrong(examine(array, URL, logs, 50, machine=machine))] == [
+    assert [(name, advice) for name, _, advice in failures(examine(array, URL, logs, 50, machine=machine))] == [
         ("journal", f"imuarray recover {logs / 'old.h5'}"),
         ("draft", f"rm {logs / '.new.h5.4711.part'}"),
     ]
@@ -273,12 +273,12 @@ def test_without_a_configuration_owners_and_limits_are_listed_and_not_judged(mac
     """No addresses are known: owners are named but not judged; the clock of the bus and the free space are stated."""
     bind(machine, "1-0068", "rtc-ds1307")
     checks = examine(None, URL, logs, 50, machine=machine, talk=lambda: [Check("chips", True, "2 answer")])
-    assert wrong(checks) == []
+    assert failures(checks) == []
     results = {check.name: check.found for check in checks}
     assert results["kernel driver"] == "/dev/i2c-1 0x68 belongs to rtc-ds1307: no sensor there can be read"
     assert (results["bus clock"], results["disk"], results["chips"]) == ("400 kHz", "65536 MiB free", "2 answer")
     nearly_full = replace(machine, free_bytes=lambda folder: 60 << 20)
-    assert only(examine(None, URL, logs, 50, machine=nearly_full))[:2] == ("disk", "60 MiB free")
+    assert only_failure(examine(None, URL, logs, 50, machine=nearly_full))[:2] == ("disk", "60 MiB free")
     shutil.rmtree(machine.root / "sys/bus/i2c/devices/1-0068")
     results = {check.name: check.found for check in examine(None, URL, logs, 50, machine=machine)}
     assert results["kernel driver"] == "/dev/i2c-1: none has an address"

@@ -33,7 +33,7 @@ def is_end(message: str) -> bool:
     return re.search(rf"{counted}|(again|ended|well), after [0-9.]+ s$|until", message) is not None
 
 
-class Heard:
+class EventRecorder:
     """An episode and the events that it reported."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Heard:
 
 
 def test_a_lasting_fault_is_reported_at_its_begin_and_its_end() -> None:
-    recorder = Heard()
+    recorder = EventRecorder()
     recorder.episode.begin(0, "hangs")
     for at_s in range(1, 300):
         recorder.episode.settle(at_s * SECOND)
@@ -52,7 +52,7 @@ def test_a_lasting_fault_is_reported_at_its_begin_and_its_end() -> None:
 
 
 def test_a_fault_that_lasts_until_the_log_ends_is_closed_once() -> None:
-    recorder = Heard()
+    recorder = EventRecorder()
     recorder.episode.begin(5 * SECOND, "hangs")
     recorder.episode.close(65 * SECOND)
     assert recorder.events[1:] == [(65 * SECOND, "still present when the log ended, after 60.0 s")]
@@ -62,7 +62,7 @@ def test_a_fault_that_lasts_until_the_log_ends_is_closed_once() -> None:
 
 def test_an_intermittent_fault_is_one_episode_of_increasing_length() -> None:
     """Every 5 s for an hour: its end is reported after 1, 2 and 4 s without it, and then not before 8 s without it."""
-    recorder = Heard()
+    recorder = EventRecorder()
     for at_s in range(0, 3600, 5):
         recorder.episode.settle(at_s * SECOND)
         recorder.episode.begin(at_s * SECOND, "hangs")
@@ -73,7 +73,7 @@ def test_an_intermittent_fault_is_one_episode_of_increasing_length() -> None:
 
 
 def test_a_fault_after_an_hour_without_it_is_a_new_episode() -> None:
-    recorder = Heard()
+    recorder = EventRecorder()
     for start_s in (0, 4000):
         for at_s in (start_s, start_s + 3):
             recorder.episode.settle(at_s * SECOND)
@@ -92,7 +92,7 @@ def test_a_fault_after_an_hour_without_it_is_a_new_episode() -> None:
 def test_events_of_any_sequence_are_few_and_their_counts_add_up(
     happenings: list[tuple[float, int, bool]], rest_s: float
 ) -> None:
-    recorder, now_ns, total = Heard(), 0, 0
+    recorder, now_ns, total = EventRecorder(), 0, 0
     for pause_s, count, lasts in happenings:
         now_ns += round(pause_s * SECOND)
         recorder.episode.settle(now_ns)

@@ -105,7 +105,7 @@ def snapshot(address: str) -> dict[str, Any]:
     return result
 
 
-def seen(address: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+def awaited_snapshot(address: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     """The first snapshot for which the condition is true."""
     end_s = time.monotonic() + 40
     while time.monotonic() < end_s:
@@ -130,13 +130,13 @@ def test_a_page_follows_a_recording_in_real_time(tmp_path: Path) -> None:
         while not (result := re.search(r"imuarray: watch it at (http://127\.0\.0\.1:\d+/)\n", text)):
             text += process.stderr.readline()
         address = result[1]
-        now = seen(address, lambda now: now["fused"] is not None and now["fused"]["technique"] == "opposed")
+        now = awaited_snapshot(address, lambda now: now["fused"] is not None and now["fused"]["technique"] == "opposed")
         assert now["frame_rate_hz"] == 50.0
         assert len(now["sensors"]) == 12
-        later = seen(address, lambda now: now["log"] != "run_001.h5" and now["ends_s"] > 3.5)
+        later = awaited_snapshot(address, lambda now: now["log"] != "run_001.h5" and now["ends_s"] > 3.5)
         assert later["state"] == "being written" and later["begins_s"] == now["begins_s"]
         process.send_signal(signal.SIGINT)
-        seen(address, lambda now: now["state"] == "finished")  # an open page shows the end
+        awaited_snapshot(address, lambda now: now["state"] == "finished")  # an open page shows the end
         out, _ = process.communicate(timeout=40)
     finally:
         process.kill()

@@ -28,8 +28,8 @@ MS = 1_000_000
 
 
 @pytest.fixture
-def bad_night(an_array: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
-    """``bad_night(toml, seconds, A=0, B=1)``: the counts of `record`, and the log."""
+def faulty_recording(an_array: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """``faulty_recording(toml, seconds, A=0, B=1)``: the counts of `record`, and the log."""
 
     def make(toml: str, seconds: float, *, rate_hz: float = 50.0, judge: Any = None, **channels: int | None) -> Any:
         array = an_array(**channels)
@@ -64,9 +64,9 @@ def test_an_unplugged_sensor_is_polled_at_increasing_intervals(
         assert log.events[1].message.startswith(f"in all {done.lost['B']} readings lost in ")
 
 
-def test_a_sensor_that_was_only_silent_is_not_set_up_again(bad_night: Callable[..., Any]) -> None:
+def test_a_sensor_that_was_only_silent_is_not_set_up_again(faulty_recording: Callable[..., Any]) -> None:
     table = '[[fault]]\nkind="no_acknowledge"\nsensor="B"\nat_s=3.0\nfor_s=0.8\n'
-    done, log = bad_night(table, 6, A=0, B=0)
+    done, log = faulty_recording(table, 6, A=0, B=0)
     with log:
         status = np.asarray(log["B"].status)
         assert events_of(log) == [("B", "lost"), ("B", "lost"), ("B", "back")]
@@ -76,10 +76,12 @@ def test_a_sensor_that_was_only_silent_is_not_set_up_again(bad_night: Callable[.
 
 
 @pytest.mark.parametrize("for_s", some([0.08, 0.2, 0.7, 3.0, 20.0], 1))
-def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(bad_night: Callable[..., Any], for_s: float) -> None:
+def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(
+    faulty_recording: Callable[..., Any], for_s: float
+) -> None:
     """Eight readings a second, asked for fifty times: rows and lost readings together are what its rate would give."""
     table = f'[[fault]]\nkind="no_acknowledge"\nsensor="P"\nat_s=3.0\nfor_s={for_s}\n'
-    done, log = bad_night(table, 30, P=0, A=1)
+    done, log = faulty_recording(table, 30, P=0, A=1)
     with log:
         time, status = np.asarray(log["P"].time), np.asarray(log["P"].status)
         gaps = np.rint(np.diff(time) * 8 / SECOND).astype(int)
@@ -93,7 +95,7 @@ def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(bad_night: Cal
             assert count == pytest.approx(done.lost["P"], abs=2)  # its way back takes one or two more
 
 
-def test_a_queue_restarts_after_a_reset(bad_night: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_queue_restarts_after_a_reset(faulty_recording: Callable[..., Any], tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="Q"\nchip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=800\n'
         "bandwidth_hz=110\nfifo=true\n"
@@ -110,9 +112,9 @@ def test_a_queue_restarts_after_a_reset(bad_night: Callable[..., Any], tmp_path:
 
 
 @pytest.mark.slow
-def test_a_permanently_frozen_sensor_is_set_up_at_increasing_intervals(bad_night: Callable[..., Any]) -> None:
+def test_a_permanently_frozen_sensor_is_set_up_at_increasing_intervals(faulty_recording: Callable[..., Any]) -> None:
     table = '[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n'
-    _, log = bad_night(table, 63, A=0, B=0)
+    _, log = faulty_recording(table, 63, A=0, B=0)
     with log:
         time, status = np.asarray(log["B"].time), np.asarray(log["B"].status)
         first = np.searchsorted(time, 3 * SECOND)
@@ -134,12 +136,12 @@ def test_a_permanently_frozen_sensor_is_set_up_at_increasing_intervals(bad_night
     ),
 )
 def test_a_reading_that_is_frozen_at_the_end_is_reported_once(
-    bad_night: Callable[..., Any], frames: int, messages: list[str]
+    faulty_recording: Callable[..., Any], frames: int, messages: list[str]
 ) -> None:
     """A constant reading for a second, 50 rows, is frozen; this is checked every ten frames. Of the first log
     54 rows stand still, of which the last check saw 46; of the second the last check saw 56, and the sensor is set up.
     """
-    done, log = bad_night('[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n', frames / 50, A=0, B=0)
+    done, log = faulty_recording('[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n', frames / 50, A=0, B=0)
     with log:
         assert done.frames == frames
         assert [(event.sensor, event.message) for event in log.events] == [("B", message) for message in messages]
@@ -191,13 +193,13 @@ def test_sensors_on_a_separate_bus_are_read_while_another_bus_hangs(tmp_path: Pa
         assert not np.asarray(log["B"].status).any()
 
 
-def test_an_address_of_a_kernel_driver_is_refused_at_the_start(bad_night: Callable[..., Any]) -> None:
+def test_an_address_of_a_kernel_driver_is_refused_at_the_start(faulty_recording: Callable[..., Any]) -> None:
     with pytest.raises(SensorError, match=r"^B \(bma180\): channel 1 address 0x40 belongs to a driver of the kernel"):
-        bad_night('[[fault]]\nkind="kernel_driver"\nsensor="B"\nfor_s=1\n', 1, A=0, B=1)
+        faulty_recording('[[fault]]\nkind="kernel_driver"\nsensor="B"\nfor_s=1\n', 1, A=0, B=1)
 
 
-def test_missed_frames_are_lost_readings_of_polled_sensors(bad_night: Callable[..., Any]) -> None:
-    done, log = bad_night('[[fault]]\nkind="stall"\nat_s=3.0\nfor_s=0.1\n', 4, A=0, B=1)
+def test_missed_frames_are_lost_readings_of_polled_sensors(faulty_recording: Callable[..., Any]) -> None:
+    done, log = faulty_recording('[[fault]]\nkind="stall"\nat_s=3.0\nfor_s=0.1\n', 4, A=0, B=1)
     with log:
         assert (done.late, done.missed, done.frames) == (1, 4, 196) or (done.missed, done.frames) == (5, 195)
         assert events_of(log) == [("", "late")]
@@ -207,12 +209,12 @@ def test_missed_frames_are_lost_readings_of_polled_sensors(bad_night: Callable[.
             assert time[after] - time[after - 2] > 100 * MS  # the reading in the midst of it has an uncertain time
 
 
-def test_a_sensor_that_repeatedly_starts_in_another_state_stays_suspect(bad_night: Callable[..., Any]) -> None:
+def test_a_sensor_that_repeatedly_starts_in_another_state_stays_suspect(faulty_recording: Callable[..., Any]) -> None:
     def judge(readings: Any) -> dict[str, StateVerdict]:
         return {"G": StateVerdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
 
     table = '[[fault]]\nkind="start_up"\nsensor="G"\nbias=[90.0, 90.0, 90.0]\n'
-    _, log = bad_night(table, 45, rate_hz=20, judge=judge, A=0, G=0)
+    _, log = faulty_recording(table, 45, rate_hz=20, judge=judge, A=0, G=0)
     with log:
         assert (np.asarray(log["G"].status) & SUSPECT).all()
         assert [kind for sensor, kind in events_of(log)] == ["start_up", "reconfigured"] * 2 + ["start_up"]

@@ -31,7 +31,7 @@ class Manager:
         self.socket.setblocking(False)
         self.address = address
 
-    def heard(self) -> list[str]:
+    def messages(self) -> list[str]:
         """One string a datagram."""
         messages = []
         while True:
@@ -63,12 +63,12 @@ def service(manager: Manager, time: Time, **more: str) -> Service:
 def test_the_first_stored_rows_report_ready(manager: Manager) -> None:
     notifier = service(manager, Time())
     notifier.stored(0)
-    assert manager.heard() == []
+    assert manager.messages() == []
     notifier.stored(13)
     notifier.stored(26)
-    assert manager.heard() == ["READY=1\nSTATUS=recording, 13 rows stored"]
+    assert manager.messages() == ["READY=1\nSTATUS=recording, 13 rows stored"]
     notifier.stopping()
-    assert manager.heard() == ["STOPPING=1\nSTATUS=finishing the log"]
+    assert manager.messages() == ["STOPPING=1\nSTATUS=finishing the log"]
 
 
 def test_only_stored_rows_reset_the_watchdog(manager: Manager) -> None:
@@ -79,7 +79,7 @@ def test_only_stored_rows_reset_the_watchdog(manager: Manager) -> None:
         time.now_ns = second * 1_000_000_000
         rows += 500 if second < 40 or second > 90 else 0  # for 50 s nothing is stored
         notifier.stored(rows)
-        fed += [second] * any("WATCHDOG=1" in words for words in manager.heard())
+        fed += [second] * any("WATCHDOG=1" in words for words in manager.messages())
     assert fed == [0, 15, 30, 91]  # half of the allowed 30 s apart, and not while nothing was stored
 
 
@@ -89,7 +89,7 @@ def test_only_stored_rows_reset_the_watchdog(manager: Manager) -> None:
 )
 def test_without_a_watchdog_none_is_reset(manager: Manager, more: dict[str, str]) -> None:
     service(manager, Time(), **more).stored(5)
-    assert manager.heard() == ["READY=1\nSTATUS=recording, 5 rows stored"]
+    assert manager.messages() == ["READY=1\nSTATUS=recording, 5 rows stored"]
 
 
 def test_the_status_is_sent_every_ten_seconds(manager: Manager) -> None:
@@ -98,7 +98,7 @@ def test_the_status_is_sent_every_ten_seconds(manager: Manager) -> None:
     for second in range(25):
         time.now_ns = second * 1_000_000_000
         notifier.stored(second + 1)
-    assert [words.splitlines()[-1] for words in manager.heard()] == [
+    assert [words.splitlines()[-1] for words in manager.messages()] == [
         f"STATUS=recording, {rows} rows stored" for rows in (1, 11, 21)
     ]
 
@@ -121,7 +121,7 @@ def test_a_manager_that_does_not_read_does_not_block(manager: Manager) -> None:
 
 def test_a_status_is_one_line(manager: Manager) -> None:
     service(manager, Time()).stopping("no room\nREADY=1")
-    assert manager.heard() == ["STOPPING=1\nSTATUS=no room READY=1"]
+    assert manager.messages() == ["STOPPING=1\nSTATUS=no room READY=1"]
 
 
 WANTED = {
@@ -177,17 +177,17 @@ def test_the_unit_recovers_logs_with_a_journal(tmp_path: Path) -> None:
     environment = {"STATE_DIRECTORY": str(logs), "PATH": os.environ["PATH"]}
     command = shlex.split(line.removeprefix("ExecStartPre=-"))
 
-    def said() -> list[str]:
+    def commands() -> list[str]:
         done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=20)
         assert done.stderr == ""
         return done.stdout.splitlines()
 
-    assert said() == []
+    assert commands() == []
     for name in ("bench-a_001.h5", "bench-a_002.h5", "other-a_001.h5"):
         (logs / name).touch()
         (logs / f"{name}.journal").touch()
     (logs / "bench-a_003.h5").touch()
-    assert said() == [f"recover {logs}/bench-a_001.h5", f"recover {logs}/bench-a_002.h5"]
+    assert commands() == [f"recover {logs}/bench-a_001.h5", f"recover {logs}/bench-a_002.h5"]
 
 
 def test_the_program_accepts_the_command_of_the_unit(tmp_path: Path) -> None:

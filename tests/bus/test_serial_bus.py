@@ -67,11 +67,11 @@ def test_a_serial_bus_states_its_source_and_its_limits() -> None:
 
 
 def test_a_clock_held_low_is_a_time_out() -> None:
-    class Held(Bench):
+    class HeldClock(Bench):
         def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
             raise OSError(110, "held")
 
-    with Held(ARRAY).bus() as bus, pytest.raises(TimeoutError) as refused:
+    with HeldClock(ARRAY).bus() as bus, pytest.raises(TimeoutError) as refused:
         bus.transfer(DEVICE)
     assert refused.value.errno == errno.ETIMEDOUT
 

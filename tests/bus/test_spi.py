@@ -183,7 +183,7 @@ def test_two_chips_on_one_chip_select_are_refused() -> None:
 def test_a_missing_chip_is_reported() -> None:
     array = parse_array(text("icm42688_acc"))
     with open_array(array) as bus:
-        bus.selects["/dev/spidev0.0"].device = _Nobody()
+        bus.selects["/dev/spidev0.0"].device = _SilentChip()
         with pytest.raises(SensorError, match=r"at /dev/spidev0.0: identity ff, .*no chip drives.*, expected 47"):
             connect(array, bus)
         (line,) = detect(array, bus)
@@ -191,7 +191,7 @@ def test_a_missing_chip_is_reported() -> None:
         assert line.place == "/dev/spidev0.0"
 
 
-class _Nobody:
+class _SilentChip:
     address = 0
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:

@@ -309,7 +309,7 @@ until_set_up = true
 """
 
 
-class Hurried:
+class JumpingClock:
     """A clock of a machine that does other things too: it moves whenever it is looked at, never twice alike."""
 
     def __init__(self, clock: Any) -> None:
@@ -340,7 +340,7 @@ def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
     array = parse_array(text)
     inner = open_bus(f"emulated:?faults={tmp_path / 'night.toml'}&bit_rate=400000", array)
     if hurried:
-        inner.clock = Hurried(inner.clock)
+        inner.clock = JumpingClock(inner.clock)
         inner.truth = None  # type: ignore[attr-defined]  # hardware has none: no read of the clock for it
     start = datetime(2026, 3, 1, tzinfo=UTC)
     with RecordingBus(inner, tmp_path / "t.jsonl") as bus:

@@ -245,7 +245,7 @@ def test_an_adapter_that_stays_unplugged_is_reported_until_the_end(bench: Callab
 
 
 class TestIdentity:
-    def there(self, machine: Machine) -> dict[str, int]:
+    def known_adapters(self, machine: Machine) -> dict[str, int]:
         return {entry.name: entry.mark for entry in adapters(machine.devices).values()}
 
     @pytest.fixture
@@ -276,7 +276,7 @@ class TestIdentity:
         alone = is_alone(wanted, adapters(machine.devices))
         machine.unplug(1)
         machine.work()
-        known = self.there(machine)
+        known = self.known_adapters(machine)
         assert search(wanted, adapters(machine.devices), known, alone=alone) is None
         machine.plug(9, again[0], again[1])
         assert search(wanted, adapters(machine.devices), known, alone=alone) == expected

@@ -89,14 +89,18 @@ def test_the_uncertainty_bounds_the_error_of_every_time(error: float, seed: int)
     for count in range(400):
         at_ns += (0.02 + 0.01 * randomness.random()) * 1e9
         have = math.floor((at_ns - phase_ns) / period_ns) + 1
-        left = randomness.choice([0, 0, 3])  # newer samples that stay in the queue
+        unread_rows = randomness.choice([0, 0, 3])  # newer samples that stay in the queue
         before, after = randomness.random() * 200e3, randomness.expovariate(1 / 500e3) % 3e6
         is_lost = count == 200
         times = clock.times(
-            have - taken - left, math.floor(at_ns - before), is_lost, until_ns=math.ceil(at_ns + after), unread=left
+            have - taken - unread_rows,
+            math.floor(at_ns - before),
+            is_lost,
+            until_ns=math.ceil(at_ns + after),
+            unread=unread_rows,
         )
         for number, (time_ns, uncertainty_ns) in enumerate(zip(times, clock.uncertainties_ns, strict=True), taken):
             assert abs(time_ns - phase_ns - number * period_ns) <= uncertainty_ns + 1  # times are whole ns
         stated.append(clock.uncertainty_ns)
-        taken = have - left
+        taken = have - unread_rows
     assert sorted(stated)[len(stated) // 2] < 0.2 * period_ns  # and the bound is narrow

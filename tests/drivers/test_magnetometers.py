@@ -237,15 +237,15 @@ range = 4
 
 
 @pytest.fixture(params=[True, False])
-def behind(request: Any) -> ArrayConfig:
+def mpu9250_array(request: Any) -> ArrayConfig:
     """Behind a multiplexer, and without one."""
     text = BEHIND if request.param else BEHIND.replace("channel = 1\n", "").replace("mux =", "# mux =")
     return parse_array(text)
 
 
-def test_a_magnetometer_answers_only_while_the_bypass_of_its_mpu9250_is_open(behind: ArrayConfig) -> None:
-    with open_array(behind) as bus:
-        if behind.mux is not None:
+def test_a_magnetometer_answers_only_while_the_bypass_of_its_mpu9250_is_open(mpu9250_array: ArrayConfig) -> None:
+    with open_array(mpu9250_array) as bus:
+        if mpu9250_array.mux is not None:
             bus.transfer(0x70, b"\x05")
         with pytest.raises(OSError, match="no acknowledge from 0x0c"):
             bus.transfer(0x0C, b"\x00", 1)
@@ -261,10 +261,10 @@ def test_a_magnetometer_answers_only_while_the_bypass_of_its_mpu9250_is_open(beh
             bus.transfer(0x0C, b"\x00", 1)
 
 
-def test_the_driver_opens_the_bypass_and_reads_the_field_in_the_axes_of_the_box(behind: ArrayConfig) -> None:
+def test_the_driver_opens_the_bypass_and_reads_the_field_in_the_axes_of_the_box(mpu9250_array: ArrayConfig) -> None:
     """Counts, adjusted by the fuse ROM, are the field at the orientation of this part; mean of 25 at 4.4 sigma."""
-    with open_array(behind, switches={"Mag": {"adjustment": (190, 140, 100)}}) as bus:
-        magnetometer, _ = (route.driver for route in connect(behind, bus))
+    with open_array(mpu9250_array, switches={"Mag": {"adjustment": (190, 140, 100)}}) as bus:
+        magnetometer, _ = (route.driver for route in connect(mpu9250_array, bus))
         bursts = b""
         for _ in range(25):
             bus.clock.sleep_until(bus.clock.now_ns() + 12_000_000)
@@ -272,19 +272,19 @@ def test_the_driver_opens_the_bypass_and_reads_the_field_in_the_axes_of_the_box(
         counts = magnetometer.decode(np.frombuffer(bursts, np.uint8).reshape(25, -1)).counts.mean(axis=0)
         header = magnetometer.header()
         assert header == {"asa_x": 190, "asa_y": 140, "asa_z": 100}
-        field = counts * (np.array(list(header.values())) + 128) / 256 / behind["Mag"].sensitivity
+        field = counts * (np.array(list(header.values())) + 128) / 256 / mpu9250_array["Mag"].sensitivity
         true = np.array(StillWorld()(0).field_box)
         unit = unit_of("a", "Mag", "ak8963", 49.12)  # this part's zero and scale
-        felt = np.array(unit.response) @ (np.array(behind["Mag"].orientation).T @ true) + unit.bias
+        felt = np.array(unit.response) @ (np.array(mpu9250_array["Mag"].orientation).T @ true) + unit.bias
         assert field == pytest.approx(felt, abs=4.4 * 3e-3 / 5)
         assert magnetometer.self_test().passed
 
 
-def test_a_reset_mpu9250_is_reported_and_its_bypass_opened_again(behind: ArrayConfig, tmp_path: Path) -> None:
+def test_a_reset_mpu9250_is_reported_and_its_bypass_opened_again(mpu9250_array: ArrayConfig, tmp_path: Path) -> None:
     faults, path = tmp_path / "faults.toml", tmp_path / "run.h5"
     faults.write_text('[[fault]]\nkind = "reset"\nsensor = "Acc"\nat_s = 2.0\n')
-    with open_bus(f"emulated:?faults={faults}", behind) as bus:
-        record(behind, bus, path, rate_hz=50.0, seconds=5.0)
+    with open_bus(f"emulated:?faults={faults}", mpu9250_array) as bus:
+        record(mpu9250_array, bus, path, rate_hz=50.0, seconds=5.0)
     with open_log(path) as log:
         assert {"lost", "back"} <= {event.kind for event in log.events if event.sensor == "Mag"}
         late = np.asarray(log["Mag"].time[:]) > 4_000_000_000

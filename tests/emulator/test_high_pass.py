@@ -13,9 +13,9 @@ SECOND = 1_000_000_000
 def test_a_constant_decays_independently_of_the_number_of_reads(steps):
     high_pass = HighPass(0.5, since_ns=SECOND)
     for step in range(1, steps + 1):
-        left = high_pass((1.0, -2.0, 3.0), SECOND + step * SECOND // steps)
+        output = high_pass((1.0, -2.0, 3.0), SECOND + step * SECOND // steps)
     kept = math.exp(-math.pi)
-    assert left == pytest.approx((kept, -2 * kept, 3 * kept))
+    assert output == pytest.approx((kept, -2 * kept, 3 * kept))
 
 
 def test_a_step_passes_unattenuated_and_then_decays():

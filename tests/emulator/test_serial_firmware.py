@@ -48,7 +48,7 @@ def framed(kind: int, sequence: int, payload: bytes = b"") -> bytes:
     return b"\xa5\x5a" + body + struct.pack("<I", zlib.crc32(body))
 
 
-def said(frame: bytes) -> tuple[int, int, int, bytes]:
+def frame_fields(frame: bytes) -> tuple[int, int, int, bytes]:
     """Kind, sequence, time and payload of one frame, which must be whole."""
     length, kind, sequence, time_us = struct.unpack_from("<HBHI", frame, 2)
     assert frame[:2] == b"\xa5\x5a"
@@ -58,7 +58,7 @@ def said(frame: bytes) -> tuple[int, int, int, bytes]:
 
 
 def ask(firmware: Firmware, kind: int, payload: bytes = b"", sequence: int = 1) -> bytes:
-    answer_kind, echoed, _, answer = said(firmware.feed(framed(kind, sequence, payload)))
+    answer_kind, echoed, _, answer = frame_fields(firmware.feed(framed(kind, sequence, payload)))
     assert (answer_kind, echoed) == (kind | 0x80, sequence)
     return answer
 
@@ -80,7 +80,7 @@ def run(firmware: Firmware, clock: VirtualClock, frames: int) -> list[tuple[int,
     for _ in range(frames):
         assert firmware.due_ns is not None
         clock.sleep_until(firmware.due_ns)
-        sent += [said(frame) for frame in firmware.tick()]
+        sent += [frame_fields(frame) for frame in firmware.tick()]
     return sent
 
 
@@ -226,6 +226,6 @@ def test_any_bytes_leave_the_firmware_responsive(data: list[bytes]) -> None:
         if firmware.due_ns is not None:
             clock.sleep_until(firmware.due_ns)
             for frame in firmware.tick():
-                said(frame)
+                frame_fields(frame)
     firmware.feed(bytes(1100))
     ask(firmware, 1, sequence=77)

@@ -76,7 +76,7 @@ def program(folder: Path) -> Path:
     return compiled(folder, "imuarray-firmware", (*CORE, SOURCES / "host/main.c"), *sanitizers(folder))
 
 
-class Found(Structure):
+class LinkFrame(Structure):
     """``link_frame``."""
 
     _fields_ = (
@@ -124,9 +124,9 @@ class Core:
         functions.link_complete.argtypes = (c_void_p, c_uint8, c_uint16, c_uint32, c_size_t)
         functions.link_receiver_init.argtypes = (c_void_p,)
         functions.link_receive.restype = c_size_t
-        functions.link_receive.argtypes = (c_void_p, c_void_p, c_size_t, POINTER(Found), POINTER(c_bool))
+        functions.link_receive.argtypes = (c_void_p, c_void_p, c_size_t, POINTER(LinkFrame), POINTER(c_bool))
         functions.link_receive_pause.restype = c_bool
-        functions.link_receive_pause.argtypes = (c_void_p, POINTER(Found))
+        functions.link_receive_pause.argtypes = (c_void_p, POINTER(LinkFrame))
         functions.firmware_init.argtypes = (c_void_p, POINTER(Platform))
         functions.firmware_take.argtypes = (c_void_p, c_void_p, c_size_t)
         functions.firmware_step.restype = c_uint32
@@ -156,7 +156,7 @@ class CoreReceiver:
 
     def feed(self, data: bytes) -> list[bytes]:
         """The frames that `data` completes, all of each."""
-        frames, frame, result, start = [], Found(), c_bool(True), 0
+        frames, frame, result, start = [], LinkFrame(), c_bool(True), 0
         buffer = ctypes.create_string_buffer(data, max(len(data), 1))
         while result or start < len(data):
             at = ctypes.addressof(buffer) + start
@@ -167,7 +167,7 @@ class CoreReceiver:
 
     def pause(self) -> list[bytes]:
         """The frames after a damaged one."""
-        frames, frame = [], Found()
+        frames, frame = [], LinkFrame()
         while self._functions.link_receive_pause(self._receiver, frame):
             frames.append(frame.raw[: frame.raw_size])
         return frames

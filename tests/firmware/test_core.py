@@ -19,9 +19,9 @@ from tests.emulator.test_serial_firmware import (  # the same tests, of the core
     ONE,
     ask,
     bench,
+    frame_fields,
     framed,
     run,
-    said,
     started,
     test_a_repeated_command_is_answered_again_and_executed_once,
     test_a_request_without_acknowledgement_is_tried_twice,
@@ -108,10 +108,10 @@ def test_a_command_after_a_damaged_length_is_executed_after_a_pause() -> None:
     assert firmware.tick() == []
     clock.advance(MS)
     (answer,) = firmware.tick()
-    assert said(answer)[:2] == (0x81, 1)
+    assert frame_fields(answer)[:2] == (0x81, 1)
     firmware.feed(b"\xa5\x5a\xff\x03")
     clock.advance(250 * MS)  # the host asks again
-    assert said(firmware.feed(framed(1, 2)))[:2] == (0x81, 2)
+    assert frame_fields(firmware.feed(framed(1, 2)))[:2] == (0x81, 2)
     assert counts(firmware)["skipped"] == 8
 
 
@@ -135,7 +135,7 @@ class TestKeptData:
             size = 15 + int.from_bytes(data[2:4], "little")
             pieces.append(data[:size])
             data = data[size:]
-        return pieces[:-1], struct.unpack("<BHH", said(pieces[-1])[3])
+        return pieces[:-1], struct.unpack("<BHH", frame_fields(pieces[-1])[3])
 
     def test_frames_are_sent_again_unchanged(self) -> None:
         firmware, _, sent = self.the(20)
@@ -187,7 +187,7 @@ class TestKeptData:
         pieces, _ = self.again(firmware, 1, 60)
         later, _ = self.again(firmware, 1 + len(pieces), 60, 302)
         later_still, _ = self.again(firmware, 1 + len(pieces) + len(later), 60, 303)
-        numbers = [said(piece)[1] for piece in pieces + later + later_still]
+        numbers = [frame_fields(piece)[1] for piece in pieces + later + later_still]
         assert numbers == list(range(1, 61))
         assert (pieces + later)[: len(on_the_line)] == on_the_line
 
@@ -205,7 +205,7 @@ class TestKeptData:
             first, count = data.draw(st.integers(0, frames)), data.draw(st.integers(0, 500))
             pieces, (_, number, following) = self.again(firmware, first, count, sequence)
             assert number == len(pieces)
-            numbers = [said(piece)[1] for piece in pieces]
+            numbers = [frame_fields(piece)[1] for piece in pieces]
             assert pieces == [sent[place] for place in numbers]
             begins = max(first, acknowledged, counts(firmware)["overwritten"])
             assert numbers == list(range(begins, begins + len(numbers)))
@@ -386,7 +386,7 @@ def test_any_bytes_leave_the_firmware_responsive(data: list[bytes]) -> None:
         if firmware.due_ns is not None:
             clock.sleep_until(firmware.due_ns)
             for frame in firmware.tick():
-                said(frame)
+                frame_fields(frame)
     clock.advance(100 * MS)
     firmware.tick()
     ask(firmware, 1, sequence=77)

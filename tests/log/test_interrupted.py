@@ -63,7 +63,7 @@ def baro(row: int) -> Block:
 def cut_short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a log after a kill: 230 rows, some commits, the last rows only in the journal."""
     folder = tmp_path_factory.mktemp("cut")
-    left = folder / "left"
+    folder_of_log = folder / "left"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writing, "CHUNK", 64)
         with LogWriter(
@@ -77,11 +77,11 @@ def cut_short(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 log.flush()
             log.phase(Phase(0, 10, "static", ""))
             log.flush()
-            left.mkdir()
+            folder_of_log.mkdir()
             for path in folder.iterdir():
                 if path.is_file():
-                    shutil.copy(path, left / path.name)
-    return left
+                    shutil.copy(path, folder_of_log / path.name)
+    return folder_of_log
 
 
 @pytest.fixture

@@ -146,7 +146,7 @@ def test_missed_frames_of_a_blocked_recorder_are_counted(tmp_path: Path, name: s
     """For any cause of blocking: the summary and the log have the same missed frames and duration."""
     array = load_array(ROOT / "configs" / "martin2013.toml").only(tuple(sensors.split(",")))
     blocks, missed = BLOCKS[name]
-    left = dict(blocks)
+    delays = dict(blocks)
     begins: list[int] = []
     with open_bus("emulated:", array) as bus:
 
@@ -154,11 +154,11 @@ def test_missed_frames_of_a_blocked_recorder_are_counted(tmp_path: Path, name: s
             if not begins:
                 begins.append(bus.clock.now_ns())
             place = (bus.clock.now_ns() - begins[0]) // 20_000_000
-            bus.clock.advance(round(left.pop(place, 0.0) * 1e9))
+            bus.clock.advance(round(delays.pop(place, 0.0) * 1e9))
             return False
 
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=40, stopped=stopped)
-    assert not left
+    assert not delays
     assert (summary.frames, summary.missed, summary.seconds) == (2000 - missed, missed, 40.0)
     with open_log(tmp_path / "run.h5") as log:
         assert frame_timing(log) == (missed, 40.0)
@@ -185,7 +185,7 @@ def test_creating_files_takes_no_time_of_the_recording(tmp_path: Path, monkeypat
 @pytest.mark.slow
 def test_each_part_has_its_own_missed_frames(tmp_path: Path) -> None:
     array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1", "BMA1"))
-    left = {225: 0.145, 234: 0.145, 252: 0.145, 261: 0.145, 700: 0.205}  # the second part begins with frame 250
+    delays = {225: 0.145, 234: 0.145, 252: 0.145, 261: 0.145, 700: 0.205}  # the second part begins with frame 250
     begins: list[int] = []
     with open_bus("emulated:", array) as bus:
 
@@ -193,7 +193,7 @@ def test_each_part_has_its_own_missed_frames(tmp_path: Path) -> None:
             if not begins:
                 begins.append(bus.clock.now_ns())
             place = (bus.clock.now_ns() - begins[0]) // 20_000_000
-            bus.clock.advance(round(left.pop(place, 0.0) * 1e9))
+            bus.clock.advance(round(delays.pop(place, 0.0) * 1e9))
             return False
 
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=20, rotate_s=5.0, stopped=stopped)

@@ -325,8 +325,8 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
         child.send_signal(signal.SIGKILL)
         child.wait(20)
         child.stdout.close() if child.stdout else None
-    left = watch.refresh(1.0)
-    assert (left.state, sensor(left, "Gyro").rows) == ("interrupted", 200)
+    snapshot = watch.refresh(1.0)
+    assert (snapshot.state, sensor(snapshot, "Gyro").rows) == ("interrupted", 200)
     with LogMonitor(log_path) as late:
         fresh = late.refresh(0.0)
         assert (fresh.state, sensor(fresh, "Gyro").rows) == ("interrupted", 200)

@@ -64,13 +64,13 @@ class File:
 
     def after_power_cut(self, draw: random.Random) -> bytes:
         length = draw.choice((len(self.synced), len(self.now)))
-        left = bytearray(self.synced[:length])
-        left.extend(bytes(length - len(left)))
+        content = bytearray(self.synced[:length])
+        content.extend(bytes(length - len(content)))
         for page in sorted(self.touched):
             if draw.random() < 0.5:
                 piece = self.now[page * PAGE : (page + 1) * PAGE][: max(0, length - page * PAGE)]
-                left[page * PAGE : page * PAGE + len(piece)] = piece
-        return bytes(left)
+                content[page * PAGE : page * PAGE + len(piece)] = piece
+        return bytes(content)
 
 
 class Disk:

@@ -65,7 +65,7 @@ class Faults:
         assert (result[:-1] < self.begin[1:]).all()
         return result
 
-    def told(self, kind: str, sensor: str = "") -> Times:
+    def event_delays(self, kind: str, sensor: str = "") -> Times:
         """For each fault the delay in ns until an event of that kind; it must come before the next fault."""
         at = self.log.times_of(kind, sensor)
         index = np.searchsorted(at, self.begin)
@@ -94,7 +94,7 @@ def test_a_missing_acknowledgement_is_flagged_and_reported(count: int) -> None:
     time, _ = faults.rows("C")
     assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()  # nothing made up
     assert (faults.next_with("C", LOST_BEFORE) - faults.end < SECOND).all()
-    assert (faults.told("lost", "C") < 0.2 * SECOND).all()
+    assert (faults.event_delays("lost", "C") < 0.2 * SECOND).all()
     faults.undisturbed("A")
 
 
@@ -105,8 +105,8 @@ def test_an_unplugged_sensor_is_flagged_and_set_up_again(count: int) -> None:
     assert faults.good_between("C", faults.begin, again) == 0
     assert (again - faults.end < 2 * SECOND).all()
     np.testing.assert_array_equal(again, faults.next_with("C", LOST_BEFORE))
-    faults.told("lost", "C")
-    faults.told("reconfigured", "C")
+    faults.event_delays("lost", "C")
+    faults.event_delays("reconfigured", "C")
     faults.undisturbed("A")
 
 
@@ -117,8 +117,8 @@ def test_a_lost_configuration_is_reported_within_a_second(count: int, kind: str,
     faults = Faults(array_of(A=0, **{sensor: 0}), count, 3.017, {"kind": kind, "sensor": sensor})
     again = faults.next_with(sensor, RECONFIGURED)
     assert faults.good_between(sensor, faults.begin, again) == 0
-    assert faults.told("configuration", sensor).max() < SECOND
-    faults.told("reconfigured", sensor)
+    assert faults.event_delays("configuration", sensor).max() < SECOND
+    faults.event_delays("reconfigured", sensor)
     time, status = faults.rows(sensor)
     assert not (status[time < faults.begin[0] - SECOND] & SUSPECT).any()
     assert np.mean((status & SUSPECT) == 0) > 0.3  # most of the time it worked
@@ -134,7 +134,7 @@ def test_a_frozen_sensor_is_flagged_and_reported(count: int, cured: bool) -> Non
     first = time[np.searchsorted(time, faults.begin)]  # the reading at which it froze was a good one
     again = faults.next_with("C", RECONFIGURED)
     assert faults.good_between("C", first + 1, again if cured else faults.end) == 0
-    faults.told("frozen", "C")
+    faults.event_delays("frozen", "C")
     faults.undisturbed("A")
 
 
@@ -145,7 +145,7 @@ def test_stale_readings_are_flagged_and_reported(count: int) -> None:
     inside = (np.searchsorted(faults.begin, time, "right") - np.searchsorted(faults.end, time, "right")) == 1
     assert inside.sum() >= 4 * count
     np.testing.assert_array_equal(inside, (status & STALE) != 0)
-    faults.told("stale", "C")
+    faults.event_delays("stale", "C")
     faults.undisturbed("A")
 
 
@@ -154,8 +154,8 @@ def test_a_queue_overrun_is_flagged(count: int) -> None:
     """The program is not run for 0.5 s; 32 sets at 100 Hz last 0.32 s. Polled sensors have lost readings too."""
     faults = Faults(array_of(A=0, Q=0), count, 2.013, {"kind": "stall", "for_s": 0.5})
     faults.next_with("Q", OVERRUN)
-    faults.told("overrun", "Q")
-    faults.told("late")
+    faults.event_delays("overrun", "Q")
+    faults.event_delays("late")
     faults.next_with("A", LOST_BEFORE)
     assert faults.night.summary.missed >= 3 * count
     _, status = faults.rows("Q")
@@ -165,7 +165,7 @@ def test_a_queue_overrun_is_flagged(count: int) -> None:
 @pytest.mark.parametrize("count", TIMES)
 def test_a_stuck_bus_is_reported(count: int) -> None:
     faults = Faults(array_of(A=0, C=1), count, 4.013, {"kind": "stuck_bus", "for_s": 0.4})
-    assert faults.told("bus").max() < 0.3 * SECOND
+    assert faults.event_delays("bus").max() < 0.3 * SECOND
     for sensor in "AC":
         time, _ = faults.rows(sensor)
         assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()
@@ -179,7 +179,7 @@ def test_a_sensor_that_holds_the_clock_costs_the_others_no_reading(count: int) -
     time, _ = faults.rows("C")
     assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()
     assert (faults.next_with("C", LOST_BEFORE) - faults.end < SECOND).all()
-    faults.told("lost", "C")
+    faults.event_delays("lost", "C")
     assert not len(faults.log.times_of("bus"))
     faults.undisturbed("A")
 
@@ -190,7 +190,7 @@ def test_a_wrong_channel_gives_no_reading_of_the_twin(count: int, reads_right: b
     """Two BMA180 at one address, at 2 g and at 16 g, at rest: 4096 and 512 counts per g (BMA-72, BMA-76)."""
     table = {"kind": "wrong_channel", "for_s": 0.25, "reads_right": reads_right}
     faults = Faults(array_of(A=0, B=0, C=1), count, 2.013, table)
-    faults.told("channel")
+    faults.event_delays("channel")
     for sensor, low, high in (("B", 3000, 5000), ("C", 350, 700)):
         z = faults.log.of(sensor, "counts")[:, 2]
         assert ((z > low) & (z < high)).all()
@@ -204,7 +204,7 @@ def test_a_wrong_channel_gives_no_reading_of_a_twin_configured_alike(count: int)
     off = {"kind": "start_up", "sensor": "H", "bias": [50.0, 0.0, 0.0]}
     table = {"kind": "wrong_channel", "for_s": 0.25, "reads_right": True}
     faults = Faults(array_of(G=0, H=1), count, 2.013, table, also=[off])
-    faults.told("channel")
+    faults.event_delays("channel")
     assert (np.abs(faults.log.of("G", "counts")[:, 0]) < 2000).all()
     assert (faults.log.of("H", "counts")[:, 0] > 4000).all()  # 50 dps are 5714 counts (L3G-40)
 
@@ -225,8 +225,8 @@ def test_an_address_taken_by_a_kernel_driver_is_reported(count: int) -> None:
     faults = Faults(array_of(A=0, C=0), count, 5.017, {"kind": "kernel_driver", "sensor": "C", "for_s": 1.1})
     again = faults.next_with("C", RECONFIGURED)
     assert faults.good_between("C", faults.begin, again) == 0
-    assert faults.told("taken", "C").max() < SECOND
-    faults.told("reconfigured", "C")
+    assert faults.event_delays("taken", "C").max() < SECOND
+    faults.event_delays("reconfigured", "C")
     faults.undisturbed("A")
 
 

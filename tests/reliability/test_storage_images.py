@@ -47,9 +47,9 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> list[Call]:
     disk = Disk()
     for call in calls:
         disk.apply(call)
-    left = {path.name: path.read_bytes() for path in (folder / "disk").iterdir()}
-    assert disk.now() == left  # no call was missed
-    assert set(left) == {"run.h5", "acknowledged", "synced"}
+    files = {path.name: path.read_bytes() for path in (folder / "disk").iterdir()}
+    assert disk.now() == files  # no call was missed
+    assert set(files) == {"run.h5", "acknowledged", "synced"}
     return calls
 
 
@@ -122,11 +122,11 @@ def test_the_disk_model_keeps_synced_data() -> None:
     file.sync()
     file.write(4096, b"b" * 8000)
     draw = random.Random(1)
-    left = [file.after_power_cut(draw) for _ in range(200)]
-    assert all(image[:4096] == b"a" * 4096 for image in left)
-    assert {len(image) for image in left} == {5000, 12_096}
-    assert {image[4096:4097] for image in left} == {b"a", b"b"}
-    assert any(image[8192:8193] == b"\0" for image in left)
+    images = [file.after_power_cut(draw) for _ in range(200)]
+    assert all(image[:4096] == b"a" * 4096 for image in images)
+    assert {len(image) for image in images} == {5000, 12_096}
+    assert {image[4096:4097] for image in images} == {b"a", b"b"}
+    assert any(image[8192:8193] == b"\0" for image in images)
 
 
 def test_the_disk_model_keeps_the_first_changes_of_the_folder() -> None:
@@ -140,5 +140,5 @@ def test_the_disk_model_keeps_the_first_changes_of_the_folder() -> None:
     ):
         disk.apply(call)
     draw = random.Random(2)
-    left = {tuple(sorted(disk.after_power_cut(draw))) for _ in range(100)}
-    assert left == {("old",), ("new", "old"), ()}
+    names = {tuple(sorted(disk.after_power_cut(draw))) for _ in range(100)}
+    assert names == {("old",), ("new", "old"), ()}

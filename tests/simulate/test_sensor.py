@@ -211,7 +211,7 @@ def test_a_dropped_row_is_missing_and_the_next_row_is_flagged(constant: Any) -> 
 
 
 @dataclass(frozen=True)
-class _Gone(Effect):
+class _LossEffect(Effect):
     """A row in five never arrives."""
 
     name: ClassVar[str] = "dropped_samples"
@@ -222,7 +222,7 @@ class _Gone(Effect):
 
 
 def test_a_loss_at_the_edge_of_a_chunk_is_flagged(constant: Any) -> None:
-    simulated = sensor(constant(), "l3g4200d", (_Gone(),), rate_hz=400.0, seconds=(CHUNK + 100) / 400.0)
+    simulated = sensor(constant(), "l3g4200d", (_LossEffect(),), rate_hz=400.0, seconds=(CHUNK + 100) / 400.0)
     block = simulated.block(CHUNK - 10, CHUNK + 10)
     stamps = simulated.timeline.stamps(0, simulated.rows)
     rows = np.searchsorted(stamps, block.time)

@@ -218,14 +218,14 @@ def test_ages_of_readings_are_those_of_the_chips_own_clock(slow_chips: Any, name
     theirs = np.asarray(log[name].counts[:, 0], float)
     still, moved = (log[name].between(log.phases[at].start_ns, log.phases[at].end_ns) for at in (0, 1))
 
-    def left(rate_error: float, phase_deg: float) -> float:
+    def residual(rate_error: float, phase_deg: float) -> float:
         """Variance that is left in motion, over that at rest: of 768 and 256 rows."""
         apart = theirs - simulated(name, OwnClock(rate_error, phase_deg), Skew(-27 / 400e3))[:, 0]
         return float(apart[moved].var() / apart[still].var())
 
     around = np.arange(15.0, 375.0, 15.0)
-    near = min(around, key=lambda phase_deg: left(right, phase_deg))
-    best = min(near + np.arange(-10.0, 10.0), key=lambda phase_deg: left(right, phase_deg))
-    assert left(right, best) < 1.5  # five standard errors of such a ratio, each root(2 / 768 + 2 / 256)
-    assert left(right, best + 180.0) > 50
-    assert min(left(right + 0.02, phase_deg) for phase_deg in around) > 50
+    near = min(around, key=lambda phase_deg: residual(right, phase_deg))
+    best = min(near + np.arange(-10.0, 10.0), key=lambda phase_deg: residual(right, phase_deg))
+    assert residual(right, best) < 1.5  # five standard errors of such a ratio, each root(2 / 768 + 2 / 256)
+    assert residual(right, best + 180.0) > 50
+    assert min(residual(right + 0.02, phase_deg) for phase_deg in around) > 50

@@ -141,7 +141,7 @@ class Bench:
 
         wait_for(f"more rows of the log {name}", grown)
 
-    def told(self, name: str, word: str) -> None:
+    def wait_for_message(self, name: str, word: str) -> None:
         """Wait until the log has written a message to standard error."""
         path = self.folder / f"{name}.err"
         wait_for(f"{word!r} from the log {name}", lambda: word in path.read_text(errors="replace"))
@@ -162,10 +162,10 @@ def share_with_a_driver(bench: Bench, number: int) -> None:
     (DEVICES / f"i2c-{number}" / "new_device").write_text("l3g4200d 0x68\n")
     driver = DEVICES / f"{number}-0068" / "driver"
     wait_for("the kernel's driver", driver.exists)
-    bench.told("shared", "Gyro taken")
+    bench.wait_for_message("shared", "Gyro taken")
     time.sleep(SILENCE_S)
     (DEVICES / f"i2c-{number}" / "delete_device").write_text("0x68\n")
-    bench.told("shared", "Gyro reconfigured")
+    bench.wait_for_message("shared", "Gyro reconfigured")
     bench.more_rows("shared")
     bench.end("shared", log, signal.SIGINT)
 
@@ -177,7 +177,7 @@ def unplug_during_a_log(bench: Bench, number: int) -> int:
     wait_for("the adapter's removal", lambda: number not in adapters())
     wait_for("the other adapter", lambda: occupy(bench.folder / "i2c-stub.ko", number))
     again = bench.plug_in()
-    bench.told("unplugged", f"/dev/i2c-{again}")
+    bench.wait_for_message("unplugged", f"/dev/i2c-{again}")
     bench.more_rows("unplugged")
     bench.end("unplugged", log, signal.SIGINT)
     (bench.folder / "numbers.json").write_text(json.dumps([number, again]))
@@ -218,7 +218,7 @@ def lose_everything(bench: Bench, number: int) -> None:
     """The adapter is unplugged and stays unplugged."""
     log = bench.log("lost", number)
     bench.unplug()
-    bench.told("lost", "was removed")
+    bench.wait_for_message("lost", "was removed")
     time.sleep(SILENCE_S)
     bench.end("lost", log, signal.SIGINT)
 

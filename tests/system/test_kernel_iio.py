@@ -86,7 +86,7 @@ KERNEL_TIME = "CLOCK_MONOTONIC of the kernel's driver"
 
 
 @pytest.fixture(scope="module")
-def seen(host_guest: HostGuest) -> tuple[Path, TappedWire]:
+def results(host_guest: HostGuest) -> tuple[Path, TappedWire]:
     """The folder with the files of the guest, and the bytes of the chips."""
     folder = host_guest.share
     for name, text in CONFIGS.items():
@@ -159,8 +159,8 @@ def ended(folder: Path, name: str) -> int:
     return code
 
 
-def test_attributes_of_devices_are_logged(seen: tuple[Path, TappedWire]) -> None:
-    folder, wire = seen
+def test_attributes_of_devices_are_logged(results: tuple[Path, TappedWire]) -> None:
+    folder, wire = results
     assert {"mpu6050", "lsm6dso_accel", "lsm6dso_gyro"} <= set(json.loads((folder / "names.json").read_text()))
     assert ended(folder, "detect") == 0, (folder / "detect.out").read_text()
     ended(folder, "polled")
@@ -169,8 +169,8 @@ def test_attributes_of_devices_are_logged(seen: tuple[Path, TappedWire]) -> None
         check_log(log, register_rows, wire, least=5)
 
 
-def test_buffers_that_a_trigger_fills_are_logged(seen: tuple[Path, TappedWire]) -> None:
-    folder, wire = seen
+def test_buffers_that_a_trigger_fills_are_logged(results: tuple[Path, TappedWire]) -> None:
+    folder, wire = results
     needs(folder, TRIGGER_MODULE)
     ended(folder, "captured")
     with open_log(folder / "captured.h5") as log:
@@ -179,9 +179,9 @@ def test_buffers_that_a_trigger_fills_are_logged(seen: tuple[Path, TappedWire]) 
         assert {log[name].attributes["time_source"] for name in log.sensors} == {KERNEL_TIME}
 
 
-def test_queues_of_chips_are_logged(seen: tuple[Path, TappedWire]) -> None:
+def test_queues_of_chips_are_logged(results: tuple[Path, TappedWire]) -> None:
     """Samples that the kernel's drivers read from the queues of two six-axis chips, and push into their buffers."""
-    folder, wire = seen
+    folder, wire = results
     needs(folder, INTERRUPT_MODULE)
     ended(folder, "queued")
     with open_log(folder / "queued.h5") as log:

@@ -33,7 +33,7 @@ SENSORS = {"Accel", "Bosch", "Gyro", "Baro", "Compass", "Other"}
 ROOT = Path(__file__).parents[2]
 
 
-class Seen(NamedTuple):
+class Results(NamedTuple):
     """The results of the guest: files in `folder`, exit codes by the command's name, and its output."""
 
     folder: Path
@@ -49,7 +49,7 @@ class Seen(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def seen(host_guest: HostGuest) -> Seen:
+def results(host_guest: HostGuest) -> Results:
     folder = host_guest.share
     (folder / "bench.toml").write_text(CONFIG)
     for name in APART:
@@ -64,12 +64,12 @@ def seen(host_guest: HostGuest) -> Seen:
         """
         written = host_guest.run(script, MODULES, TIMEOUT_S)
     codes = folder / "codes.json"
-    return Seen(folder, json.loads(codes.read_text()) if codes.exists() else {}, written)
+    return Results(folder, json.loads(codes.read_text()) if codes.exists() else {}, written)
 
 
-def test_all_commands_ran(seen: Seen) -> None:
-    assert "Traceback" not in seen.written, seen.written
-    assert {"detect", "self_test", "shared", "unplugged", "killed", "recover", "verify", "lost"} <= set(seen.codes)
+def test_all_commands_ran(results: Results) -> None:
+    assert "Traceback" not in results.written, results.written
+    assert {"detect", "self_test", "shared", "unplugged", "killed", "recover", "verify", "lost"} <= set(results.codes)
 
 
 def rows_of(log: Log, name: str) -> tuple[Any, Any]:
@@ -77,19 +77,19 @@ def rows_of(log: Log, name: str) -> tuple[Any, Any]:
     return log[name].time[:] * 1e-9, log[name].status[:]
 
 
-def test_detect_agrees_with_the_configuration(seen: Seen) -> None:
-    assert (seen.codes["detect"], seen.codes["self_test"]) == (0, 0)
-    verdicts = {entry["sensor"]: entry["ok"] for entry in seen.report("detect")["found"]}
+def test_detect_agrees_with_the_configuration(results: Results) -> None:
+    assert (results.codes["detect"], results.codes["self_test"]) == (0, 0)
+    verdicts = {entry["sensor"]: entry["ok"] for entry in results.report("detect")["found"]}
     assert verdicts == dict.fromkeys(SENSORS | {"mux"}, True)
-    tested = [entry["self_test"] for entry in seen.report("self_test")["found"] if entry["self_test"]]
+    tested = [entry["self_test"] for entry in results.report("self_test")["found"] if entry["self_test"]]
     assert len(tested) >= 3
     assert all(text.startswith("self-test passed") for text in tested), tested
 
 
-def test_a_kernel_driver_takes_and_releases_a_chip(seen: Seen) -> None:
+def test_a_kernel_driver_takes_and_releases_a_chip(results: Results) -> None:
     """Only that chip has a gap; it is set up again."""
-    assert seen.codes["shared"] == 0, seen.errors("shared")
-    with open_log(seen.folder / "shared.h5") as log:
+    assert results.codes["shared"] == 0, results.errors("shared")
+    with open_log(results.folder / "shared.h5") as log:
         events = {(event.sensor, event.kind): event for event in log.events}
         assert "the kernel's driver 'st-gyro-i2c'" in events["Gyro", "taken"].message
         taken_s, back_s = (events["Gyro", kind].time_ns * 1e-9 for kind in ("taken", "reconfigured"))
@@ -103,12 +103,12 @@ def test_a_kernel_driver_takes_and_releases_a_chip(seen: Seen) -> None:
         assert np.diff(others).max() < back_s - taken_s
 
 
-def test_a_log_continues_when_the_adapter_returns_with_another_number(seen: Seen) -> None:
+def test_a_log_continues_when_the_adapter_returns_with_another_number(results: Results) -> None:
     """One log, with rows before and after of every sensor, and events of the interruption."""
-    assert seen.codes["unplugged"] == 0, seen.errors("unplugged")
-    before, after = json.loads((seen.folder / "numbers.json").read_text())
+    assert results.codes["unplugged"] == 0, results.errors("unplugged")
+    before, after = json.loads((results.folder / "numbers.json").read_text())
     assert before != after
-    with open_log(seen.folder / "unplugged.h5") as log:
+    with open_log(results.folder / "unplugged.h5") as log:
         assert log.state == "finished"
         events = [event for event in log.events if event.kind == "adapter"]
         assert len(events) == 2, [event.message for event in events]
@@ -123,10 +123,10 @@ def test_a_log_continues_when_the_adapter_returns_with_another_number(seen: Seen
             assert status[first] & (LOST_BEFORE | RECONFIGURED) == LOST_BEFORE | RECONFIGURED, name
 
 
-def test_a_killed_log_is_recovered(seen: Seen) -> None:
+def test_a_killed_log_is_recovered(results: Results) -> None:
     """The same rows as the journal has, which is read here by itself."""
-    assert [seen.codes[name] for name in ("killed", "recover", "verify")] == [-9, 0, 0]
-    with open_log(seen.folder / "unfinished.h5") as cut, open_log(seen.folder / "killed.h5") as log:
+    assert [results.codes[name] for name in ("killed", "recover", "verify")] == [-9, 0, 0]
+    with open_log(results.folder / "unfinished.h5") as cut, open_log(results.folder / "killed.h5") as log:
         assert (cut.state, log.state) == ("interrupted", "finished")
         for name in SENSORS:
             assert len(log[name].time) > 3
@@ -134,21 +134,21 @@ def test_a_killed_log_is_recovered(seen: Seen) -> None:
             np.testing.assert_array_equal(log[name].counts[:], cut[name].counts[:])
 
 
-def test_a_multiplexer_of_the_kernel_is_logged_by_channel(seen: Seen) -> None:
+def test_a_multiplexer_of_the_kernel_is_logged_by_channel(results: Results) -> None:
     """Each channel by its own bus; the trunk with our own multiplexer is refused, by the driver's name."""
-    if "channels" not in seen.codes:
+    if "channels" not in results.codes:
         pytest.skip("no module i2c-mux-pca954x, which Debian does not build; tests/system/build_kernel_modules does")
-    assert seen.codes["detect_trunk"] == 2
-    (mux,) = [entry for entry in seen.report("detect_trunk")["found"] if entry["sensor"] == "mux"]
+    assert results.codes["detect_trunk"] == 2
+    (mux,) = [entry for entry in results.report("detect_trunk")["found"] if entry["sensor"] == "mux"]
     assert "belongs to the kernel's driver 'pca954x'" in mux["found"]
-    assert seen.codes["detect_channels"] == 0
-    assert seen.codes["channels"] == 0, seen.errors("channels")
-    with open_log(seen.folder / "channels.h5") as log:
+    assert results.codes["detect_channels"] == 0
+    assert results.codes["channels"] == 0, results.errors("channels")
+    with open_log(results.folder / "channels.h5") as log:
         assert {name for name in log.sensors if len(log[name].time) > 3} == SENSORS
 
 
-def test_a_recording_without_any_reading_exits_with_1(seen: Seen) -> None:
-    assert seen.codes["lost"] == 1, seen.errors("lost")
-    with open_log(seen.folder / "lost.h5") as log:
+def test_a_recording_without_any_reading_exits_with_1(results: Results) -> None:
+    assert results.codes["lost"] == 1, results.errors("lost")
+    with open_log(results.folder / "lost.h5") as log:
         assert log.state == "finished"
         assert [event.kind for event in log.events if event.kind == "adapter"]

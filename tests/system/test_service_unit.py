@@ -108,7 +108,7 @@ finish
 """
 
 
-class Seen(NamedTuple):
+class Results(NamedTuple):
     """The results of the guest: its logs by name, the unit's properties by the heading under which they were shown."""
 
     logs: dict[str, Path]
@@ -118,7 +118,7 @@ class Seen(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def seen(host_guest: HostGuest) -> Seen:
+def results(host_guest: HostGuest) -> Results:
     require("systemctl", "journalctl", "useradd")
     if not SYSTEMD.exists():
         pytest.skip(f"no {SYSTEMD} (.ci/system-packages installs it)")
@@ -136,46 +136,46 @@ def seen(host_guest: HostGuest) -> Seen:
     }
     journal = folder / "journal.txt"
     logs = {path.name: path for path in sorted((folder / "logs").glob("*.h5"))}
-    return Seen(logs, properties, written, journal.read_text(errors="replace") if journal.exists() else "")
+    return Results(logs, properties, written, journal.read_text(errors="replace") if journal.exists() else "")
 
 
-def test_start_waits_for_the_first_rows(seen: Seen) -> None:
+def test_start_waits_for_the_first_rows(results: Results) -> None:
     """READY=1 is sent with them: sd_notify(3). The user is the unit's, without any capability, behind seccomp."""
-    started = seen.properties["started"]
+    started = results.properties["started"]
     assert (started["ActiveState"], started["SubState"], started["User"]) == ("active", "running", "imuarray")
     assert re.fullmatch(r"recording, [1-9]\d* rows stored", started["StatusText"])
-    lines = dict(re.findall(r"^(\w+):\s+(.*)$", seen.written, re.MULTILINE))
+    lines = dict(re.findall(r"^(\w+):\s+(.*)$", results.written, re.MULTILINE))
     assert "0" not in lines["Uid"].split()
     assert (int(lines["CapBnd"], 16), lines["NoNewPrivs"], lines["Seccomp"]) == (0, "1", "2")
 
 
-def test_only_stored_rows_reset_the_watchdog(seen: Seen) -> None:
+def test_only_stored_rows_reset_the_watchdog(results: Results) -> None:
     """It is fed while rows are stored, and without a bus the watchdog ends the service, which starts anew."""
-    fed = seen.properties["fed"]
-    assert (fed["MainPID"], fed["NRestarts"]) == (seen.properties["started"]["MainPID"], "0")
-    assert "Failed with result 'watchdog'" in seen.journal
-    assert re.search(r"adapter: the adapter /dev/i2c-\d+ .* was removed", seen.journal)
-    unplugged = seen.properties["unplugged"]
+    fed = results.properties["fed"]
+    assert (fed["MainPID"], fed["NRestarts"]) == (results.properties["started"]["MainPID"], "0")
+    assert "Failed with result 'watchdog'" in results.journal
+    assert re.search(r"adapter: the adapter /dev/i2c-\d+ .* was removed", results.journal)
+    unplugged = results.properties["unplugged"]
     assert unplugged["ActiveState"] == "active"
     assert int(unplugged["NRestarts"]) >= 2
 
 
-def test_a_killed_service_restarts_and_recovers(seen: Seen) -> None:
-    killed = seen.properties["killed"]
+def test_a_killed_service_restarts_and_recovers(results: Results) -> None:
+    killed = results.properties["killed"]
     assert (killed["ActiveState"], killed["NRestarts"]) == ("active", "1")
-    assert killed["MainPID"] != seen.properties["started"]["MainPID"]
-    first = min(seen.logs)
-    assert re.search(rf"{re.escape(first)}: recovered [1-9]\d* rows of 6 sensors", seen.journal)
-    with open_log(seen.logs[first]) as log:
+    assert killed["MainPID"] != results.properties["started"]["MainPID"]
+    first = min(results.logs)
+    assert re.search(rf"{re.escape(first)}: recovered [1-9]\d* rows of 6 sensors", results.journal)
+    with open_log(results.logs[first]) as log:
         assert [event.kind for event in log.events if event.kind == "recovered"] == ["recovered"]
 
 
-def test_a_stopped_service_leaves_finished_logs(seen: Seen) -> None:
+def test_a_stopped_service_leaves_finished_logs(results: Results) -> None:
     """One log of every start, and no journal."""
-    stopped = seen.properties["stopped"]
+    stopped = results.properties["stopped"]
     assert (stopped["ActiveState"], stopped["Result"]) == ("inactive", "success")
-    assert len(seen.logs) >= 3
-    for path in seen.logs.values():
+    assert len(results.logs) >= 3
+    for path in results.logs.values():
         assert not journal_of(path).exists()
         with open_log(path) as log:
             assert log.state == "finished"

@@ -146,9 +146,9 @@ def test_a_faster_reference_follows_a_moving_box(tmp_path):
         dps = np.degrees(reference.angular_rate[:] @ np.asarray(gyro.orientation))
         wanted = np.array([np.interp(gyro.time[:], reference.time[:], axis) for axis in dps.T]).T
         read = gyro.counts[:] * 0.07
-        left = read - read[-40:].mean(axis=0) - wanted
+        residual = read - read[-40:].mean(axis=0) - wanted
         assert np.abs(wanted).max() > 50
-        assert left.std() < 0.02 * wanted.std() + 0.3  # scale, alignment, 1 ms of age, noise of 0.18 dps
+        assert residual.std() < 0.02 * wanted.std() + 0.3  # scale, alignment, 1 ms of age, noise of 0.18 dps
 
 
 @pytest.mark.slow
