@@ -190,7 +190,7 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
         yield (*statistic, "kind", kind, key.phase), (*statistic, "phase", key.phase, state), (*statistic, "any", state)
 
 
-ENOUGH: Mapping[int, float] = MappingProxyType({24: 0.5, 40: 0.3, 64: 0.2})
+ENOUGH: Mapping[int, float] = MappingProxyType({24: 0.4, 40: 0.25, 64: 0.16, 96: 0.13})
 """Numbers of replicates after which no more are simulated if the p-value is larger than the limit. The limits never
 rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates would detect at p = 0.05 is
 given up in less than one of two hundred cases.
