@@ -21,12 +21,13 @@ from imuarray.calibrate import Calibration, load_calibration
 from imuarray.errors import LogError
 from imuarray.fuse import read_fused_head
 from imuarray.fuse.fused_file import is_fused
+from imuarray.importers.plausibility import report_of
 from imuarray.log import Log, open_log
 from imuarray.report.calibration_page import calibration_sections, calibration_summary, residual_section
 from imuarray.report.fused_page import fused_sections, fused_summary, techniques_section
-from imuarray.report.log_page import log_sections, log_summary
+from imuarray.report.log_page import doubt_sections, log_sections, log_summary
 from imuarray.report.page import NO_FIGURES, Section, Verdict, can_draw, write_page
-from imuarray.report.verdicts import calibration_verdict, joined, recording_verdict
+from imuarray.report.verdicts import calibration_verdict, doubted, joined, recording_verdict
 from imuarray.spelling import guess_file
 
 _MOST_BYTES = 1 << 26
@@ -78,7 +79,9 @@ def _log(path: Path, context: PageContext) -> PagePart:
         )
         if calibrated and (residuals := residual_section(log, calibration, with_figures=context.with_figures)):
             sections.append(residuals)
-        verdicts = [recording_verdict(log)]
+        doubts = report_of(log).doubts if log.source == "imported" else ()
+        sections[:0] = doubt_sections(log, doubts)
+        verdicts = [doubted(recording_verdict(log), doubts)]
         with _second_process(log, context.workers) as executor:
             gains = techniques_section(
                 log, calibration, with_figures=context.with_figures, progress=techniques, executor=executor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import timedelta
 from typing import Any
 
@@ -66,6 +66,19 @@ def log_sections(
         yield Section(f"{log.path.name}: noise", f"The noise could not be determined: {error}.")
         return
     yield _noise(log, result, with_figures=with_figures)
+
+
+def doubt_sections(log: Log, doubts: Sequence[str]) -> Iterator[Section]:
+    """Yield the section of `doubts` (`imuarray.importers.plausibility`) about an imported log, if there are any."""
+    if not doubts:
+        return
+    words = (
+        "The readings contradict the map of the import, or what the sensors can do. Correct the map, or explain each"
+        " line, before you use the figures below."
+    )
+    rows = [[where, what] for where, _, what in (text.partition(": ") for text in doubts)]
+    parts = [Table(["where", "what is doubtful"], rows, "The doubts that `imuarray import` prints.", (1,))]
+    yield Section(f"{log.path.name}: what is doubtful", words, parts)
 
 
 def _recorded(log: Log) -> Section:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,16 @@ def recording_verdict(log: Log) -> Verdict:
             (f"{clipped}", "readings at the end of the range"),
         ),
     )
+
+
+def doubted(verdict: Verdict, doubts: Sequence[str]) -> Verdict:
+    """Return the verdict on an imported recording with the number of `doubts` about it, and the first of them."""
+    if not doubts:
+        return verdict
+    level: Level = "doubtful" if verdict.level == "good" else verdict.level
+    others = "" if len(doubts) == 1 else ", for example"
+    sentence = f"{verdict.sentence} {counted(len(doubts), 'doubt')} about the import{others}: {doubts[0]}"
+    return replace(verdict, sentence=sentence, level=level)
 
 
 def _silent(log: Log, ends_ns: tuple[int, int]) -> dict[str, float]:

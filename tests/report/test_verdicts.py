@@ -17,8 +17,10 @@ from imuarray.fuse.evaluation import Error, Ratio
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from imuarray.report import Verdict, write_page
+from imuarray.report.files import KINDS, PageContext
 from imuarray.report.gap_page import gap_verdict
 from imuarray.report.log_page import log_sections
+from imuarray.report.page import Table
 from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict, techniques_verdict
 from tests.report.made_diagnosis import made, made_unexplained, made_without_gap
 
@@ -230,3 +232,20 @@ def test_a_gain_that_rounds_to_nothing_is_not_claimed(tmp_path: Path, ratio: flo
         verdict = techniques_verdict(log, TechniqueComparison((score,), {}))
     assert verdict is not None
     assert (verdict.sentence, verdict.level) == (f"Fusion of log.h5 {words}", level)
+
+
+def test_doubts_about_an_import_are_in_the_verdict_and_first_on_the_page(tmp_path: Path) -> None:
+    """The accelerometer reads 1 count of 2048 per g on each axis: sqrt(3) / 2048 g, and no axis changes."""
+    rows = np.ones((1000, 3))
+    with LogWriter(tmp_path / "run.h5", [ACC], source="imported", epoch="2026-01-01T00:00:00Z") as log:
+        log.append("Acc", Block(np.arange(1000) * 10_000_000, rows, np.zeros(1000, np.uint16)))
+    part = KINDS["log"].part(tmp_path / "run.h5", PageContext(Calibration(), with_figures=False))
+    (verdict,) = part.verdicts
+    assert verdict.level == "doubtful"
+    assert verdict.sentence == (
+        "run.h5 is healthy: the sensor delivers, no frame was missed, no fault reported. 1 doubt about the import: Acc:"
+        " xyz is always 1, 1, 1"
+    )
+    assert part.sections[0].title == "run.h5: what is doubtful"
+    table = part.sections[0].parts[0]
+    assert isinstance(table, Table) and table.rows == [["Acc", "xyz is always 1, 1, 1"]]
