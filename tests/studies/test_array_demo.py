@@ -1,4 +1,4 @@
-"""`imuarray demo --array`: of a shipped array the path from the bus to the page, with known truth."""
+"""`imuarray demo --array`: the path of a shipped array from the bus to the page, with known truth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.json_page import documented
 pytest.importorskip("matplotlib")
 
 
-def test_queues_are_left_off_and_nothing_else_is_changed() -> None:
+def test_only_queues_are_removed_from_the_configuration() -> None:
     text = find_config(Path("icm42688x8")).read_text()
     array = parse_array(text)
     polled = parse_array(polled_text(array))
@@ -31,7 +31,7 @@ def test_queues_are_left_off_and_nothing_else_is_changed() -> None:
 
 
 @pytest.mark.parametrize("line", ["fifo=true", "fifo  =  true", "fifo = true  # drained every 10 ms"])
-def test_queues_are_left_off_however_the_configuration_is_written(line: str) -> None:
+def test_queues_are_removed_from_any_layout_of_the_configuration(line: str) -> None:
     text = find_config(Path("icm42688x8")).read_text().replace("fifo = true", line)
     polled = parse_array(polled_text(parse_array(text)))
     assert not any(sensor.fifo for sensor in polled.sensors)
@@ -41,7 +41,7 @@ def test_one_sensor_of_each_chip_and_quantity_is_diagnosed() -> None:
     assert one_of_each(parse_array(find_config(Path("icm42688x8")).read_text())) == ("IMU1_acc", "IMU1_gyro")
 
 
-def test_the_summary_says_what_averaging_gains() -> None:
+def test_the_summary_states_the_gain_by_averaging() -> None:
     single = {"G1": 0.01, "G2": 0.03, "G3": 0.02, "G4": 0.02}
     error = ArrayError("static", "angular_rate", single, {"mean": 0.01, "opposed": 0.012, "optimal": 0.008})
     line, _ = summary([error])
@@ -61,8 +61,8 @@ def test_an_array_without_gyroscopes_is_refused(tmp_path: Path, capsys: pytest.C
 
 @pytest.mark.slow
 def test_four_sensors_have_half_the_error_of_one(tmp_path: Path) -> None:
-    """Four MPU-9250 with the independent noise of their data sheet: at rest a ratio of 1/√4 but for what the
-    calibration left, whose share of the variance is a tenth here.
+    """Four MPU-9250 with the independent noise of their data sheet: at rest a ratio of 1/√4 except for the residual of
+    the calibration, whose share of the variance is a tenth here.
     """
     folder = tmp_path / "demo"
     words = ["demo", "--array", "mpu9250x4", "-o", str(folder), "--seconds", "300", "--seed", "3", "--json"]
@@ -80,4 +80,4 @@ def test_four_sensors_have_half_the_error_of_one(tmp_path: Path) -> None:
         assert len(log.sensors) == 8
     page = (folder / "report.html").read_text()
     assert all(title in page for title in ("What the array gains", "Heated", "Calibration", "Noise", "mpu9250x4"))
-    assert main(words[:-1]) == 2  # nothing is overwritten
+    assert main(words[:-1]) == 2  # no file is overwritten

@@ -1,4 +1,6 @@
-"""The main job, end to end on the emulated array with a known truth: what the paper claims is measured, not assumed."""
+"""The demonstration, end to end on the emulated array with a known truth: the paper's claims are
+measured, not assumed.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the command says, as JSON, of another seed than its own."""
+    """The JSON output of the command with another seed than its default."""
     folder = tmp_path_factory.mktemp("demo") / "demo"
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as steps:
         assert main(["demo", "-o", str(folder), "--seconds", "900", "--seed", "4", "--json"]) == 0
@@ -34,7 +36,7 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def demo(printed: dict[str, Any]) -> Path:
-    """The folder that it wrote."""
+    """The folder written by the command."""
     return Path(printed["folder"])
 
 
@@ -44,7 +46,7 @@ def gains(printed: dict[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def test_its_keys_are_on_the_page(printed: dict[str, Any]) -> None:
+def test_all_keys_of_the_output_are_documented(printed: dict[str, Any]) -> None:
     keys, entries = documented()["demo"]
     assert printed.keys() == keys
     assert printed["gains"][0].keys() == entries["gains"]
@@ -55,14 +57,14 @@ def _row(gains: list[dict[str, Any]], case: str, quantity: str, axis: str) -> di
     return row
 
 
-def test_opposed_gyroscopes_lose_their_drift_where_slopes_agree(gains: list[dict[str, Any]]) -> None:
+def test_opposed_gyroscopes_cancel_drift_where_slopes_agree(gains: list[dict[str, Any]]) -> None:
     """Table 8: about box Y all three units drift by 0.018 to 0.019 dps/degC in their own frames."""
     row = _row(gains, "opposed, heating, drift", "angular_rate", "Y")
     assert row["ratio"] + 3 * row["ratio_se"] < 0.6
 
 
-def test_planes_spare_the_noisy_out_of_plane_axes(gains: list[dict[str, Any]]) -> None:
-    """Two ADXL345 z axes of 47 mg among four BMA180: the average is dominated by them along box Z alone."""
+def test_planes_avoid_the_noisy_out_of_plane_axes(gains: list[dict[str, Any]]) -> None:
+    """Two ADXL345 z axes of 47 mg among four BMA180: they dominate the average along box Z only."""
     row = _row(gains, "planes, static", "specific_force", "Z")
     assert row["ratio"] + 3 * row["ratio_se"] < 0.7
 
@@ -75,15 +77,15 @@ def test_blended_ranges_are_quieter_than_the_average(gains: list[dict[str, Any]]
 
 
 def test_no_technique_is_worse_than_the_average_elsewhere(gains: list[dict[str, Any]]) -> None:
-    """Length of the error vector, every case and quantity; 4 % is what `ranges` costs in a wild motion: 1 % its taper,
-    3 % that it waits for the low range's filter after every time it clipped, at 48 frames a second.
+    """Length of the error vector, every case and quantity; the 4 % are the loss of `ranges` in a strong motion: 1 % by
+    its taper, 3 % by the wait for the low range's filter after each clipping, at 48 frames per second.
     """
     for row in gains:
         if row["box_axis"] == "XYZ":
             assert row["ratio"] < 1.04 + 3 * row["ratio_se"], row
 
 
-def test_calibration_finds_the_papers_table_3_again(demo: Path) -> None:
+def test_calibration_reproduces_the_papers_table_3(demo: Path) -> None:
     """Bias and scale factor as printed, within five standard errors of a run this short."""
     printed = {"BMA1": ([-92.466, -127.755, 11.542], [511.44, 520.34, 526.21])}
     printed["ADXL2"] = ([9.374, 12.366, -19.170], [263.42, 263.45, 255.21])
@@ -98,7 +100,7 @@ def test_calibration_finds_the_papers_table_3_again(demo: Path) -> None:
             assert error < 5 * sensor.response_sem_lsb_per_unit[axis] + 0.5
 
 
-def test_the_page_is_complete_and_needs_nothing_else(demo: Path) -> None:
+def test_the_page_is_complete_and_self_contained(demo: Path) -> None:
     page = (demo / "report.html").read_text(encoding="utf-8")
     for title in ("What each technique gains", "Heated", "Shaken", "Calibration", "Noise", "What was recorded"):
         assert title in page
@@ -107,14 +109,14 @@ def test_the_page_is_complete_and_needs_nothing_else(demo: Path) -> None:
     assert page.count("<img") == page.count('alt="') == 4
 
 
-def test_nothing_is_overwritten(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_file_is_not_overwritten(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (demo / "tumble.h5").stat().st_mtime_ns
     assert main(["demo", "-o", str(demo), "--seconds", "900", "--json"]) == 2
     assert "report.html: exists already" in capsys.readouterr().err
     assert (demo / "tumble.h5").stat().st_mtime_ns == before
 
 
-def test_the_fused_file_says_what_it_is(demo: Path) -> None:
+def test_the_fused_file_has_its_attributes(demo: Path) -> None:
     import h5py
 
     with h5py.File(demo / "fused_opposed.h5") as file:

@@ -1,4 +1,4 @@
-"""The recordings of the demonstration are the same, whatever the number of processes that make them."""
+"""The recordings of the demonstration do not depend on the number of processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from imuarray.studies.emulated_runs import RUNS, DemoOptions, record_all
 
 
 @pytest.mark.slow
-def test_two_processes_record_the_same_as_this_one(tmp_path: Path) -> None:
+def test_two_processes_record_the_same_as_one(tmp_path: Path) -> None:
     logs: list[dict[str, Path]] = []
     told: list[str] = []
     for workers in (1, 2):

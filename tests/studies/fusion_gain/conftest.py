@@ -1,4 +1,4 @@
-"""One short study that several tests look at."""
+"""One short study for several tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from imuarray.studies.fusion_gain.page import HeatingErrors, heated
 
 @pytest.fixture(scope="session")
 def short_and_warm() -> tuple[Study, HeatingErrors]:
-    """Made with short calibrating logs: enough to see rows and curves, too little to learn from them."""
+    """A study with short calibration logs: sufficient for rows and curves, too short for conclusions."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
             patch.setattr(gain_study, name, value)

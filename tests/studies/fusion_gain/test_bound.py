@@ -22,7 +22,7 @@ MG = 9.80665e-3
 
 
 def triads(noise: list[float], slow: tuple[SlowError, ...] = ()) -> ErrorLaw:
-    """Sensors whose three axes lie along those of the box, each with one noise."""
+    """Sensors whose three axes are along those of the box, each with one noise."""
     return ErrorLaw(np.tile(np.eye(3), (len(noise), 1)), np.repeat(noise, 3), slow)
 
 
@@ -39,21 +39,21 @@ def on(axis: int, rms: float, law: ErrorLaw, **kind: float) -> SlowError:
 
 
 @pytest.mark.parametrize("count", [1, 2, 9])
-def test_like_axes_and_white_noise(count: int) -> None:
-    """sigma / sqrt(n), whatever the number of frames."""
+def test_the_bound_of_equal_axes_with_white_noise(count: int) -> None:
+    """sigma / sqrt(n), for any number of frames."""
     law = triads([0.3] * count)
     found = bound(law, stretches(law, [0.0, 5.0], frames=7))
     assert found.causal_rms == pytest.approx([0.3 / np.sqrt(count)] * 3)
     assert found.smoothed_rms == pytest.approx([0.3 / np.sqrt(count)] * 3)
 
 
-def test_inverse_variance_of_the_two_ranges() -> None:
+def test_the_bound_of_two_ranges_is_that_of_inverse_variance() -> None:
     """Table 10: 9.53 mg at 1.5 g and 17.05 mg at 16 g; by inverse variance 1 / sqrt(1 / 9.53^2 + 1 / 17.05^2)."""
     law = triads([9.53 * MG, 17.05 * MG])
     assert bound(law, stretches(law, [0.0])).causal_rms / MG == pytest.approx([8.319] * 3, abs=0.001)
 
 
-def test_axes_on_perpendicular_boards() -> None:
+def test_the_bound_of_perpendicular_boards() -> None:
     """z of one board along X, that of the other along Z: 25 mg in plane and 47 mg out of it, one of each on X and Z."""
     first, second = np.eye(3), np.array([[0, 0, 1.0], [0, 1, 0], [1, 0, 0]])
     noise = np.array([25.0, 25.0, 47.0] * 2)
@@ -62,9 +62,9 @@ def test_axes_on_perpendicular_boards() -> None:
     assert bound(law, stretches(law, [0.0])).causal_rms == pytest.approx([mixed, 25 / np.sqrt(2), mixed])
 
 
-def test_a_constant_error_of_one_of_two_sensors() -> None:
-    """By hand: the difference of two like axes tells a constant b ~ N(0, 1) with noise 2 s^2 / n; half of what is left
-    of it is in the mean, besides s^2 / 2.
+def test_the_bound_with_a_constant_error_of_one_of_two_sensors() -> None:
+    """By hand: the difference of two equal axes determines a constant b ~ N(0, 1) with noise 2 s^2 / n; half of its
+    remainder is in the mean, in addition to s^2 / 2.
     """
     law = triads([0.5, 0.5])
     law = triads([0.5, 0.5], (on(0, 1.0, law),))
@@ -75,11 +75,11 @@ def test_a_constant_error_of_one_of_two_sensors() -> None:
     assert found.causal[:, 1, 1] == pytest.approx([0.125] * 2)
 
 
-def test_gauss_markov_of_both_of_two_sensors() -> None:
-    """Two axes, each with a Gauss-Markov error: half their sum q is never seen, half their difference p is.
-
-    The mean's error is q and the white noise, q independent of p: variance (s^2 + b^2) / 2 at all times, filter and
-    smoother alike, for two like sensors. If only one wanders, p = q and p is estimated: by the two-point regression.
+def test_the_bound_with_gauss_markov_errors_of_two_sensors() -> None:
+    """Two axes, each with a Gauss-Markov error: half of their sum q is not observable, half of their difference p is.
+    The error of the mean is q and the white noise, q independent of p: variance (s^2 + b^2) / 2 at all times, for
+    filter and smoother, for two equal sensors. If only one wanders, p = q and p is estimated: by the two-point
+    regression.
     """
     base = triads([0.5, 0.5])
     law = triads([0.5, 0.5], (on(0, 0.2, base, time_constant_s=30.0), on(3, 0.2, base, time_constant_s=30.0)))
@@ -98,8 +98,8 @@ def test_gauss_markov_of_both_of_two_sensors() -> None:
     assert found.smoothed[:, 0, 0] == pytest.approx([0.125 + second / 4] * 2)
 
 
-def test_what_all_share_is_seen_by_opposing_axes_only() -> None:
-    """z = +-u + c: with opposing axes c is half their sum, u half their difference, whatever c is; with parallel ones
+def test_a_common_error_is_observable_by_opposing_axes_only() -> None:
+    """z = +-u + c: with opposing axes c is half of their sum, u half of their difference, for any c; with parallel axes
     c stays in u.
     """
     shared = SlowError(np.full(6, 3.0))
@@ -109,7 +109,7 @@ def test_what_all_share_is_seen_by_opposing_axes_only() -> None:
     assert bound(parallel, stretches(parallel, [0.0])).causal_rms == pytest.approx([np.sqrt(0.125 + 9)] * 3)
 
 
-def test_a_slope_with_temperature() -> None:
+def test_the_bound_with_a_thermal_slope() -> None:
     """Slope ~ N(0, 0.1^2) on one axis of two, 10 degC from the reference: a constant of rms 1."""
     base = triads([0.5, 0.5])
     law = triads([0.5, 0.5], (on(0, 0.1, base, per_degc=25.0),))
@@ -125,7 +125,7 @@ def test_aggregation_loses_nothing() -> None:
     assert apart.smoothed[0] == pytest.approx(together.causal[0])
 
 
-def test_axes_without_a_reading_count_for_nothing() -> None:
+def test_axes_without_a_reading_have_no_weight() -> None:
     law = triads([0.3, 0.4])
     one = np.repeat([True, False], 3)
     both = np.ones(6, bool)
@@ -137,9 +137,9 @@ def test_axes_without_a_reading_count_for_nothing() -> None:
 
 @settings(max_examples=examples(25), deadline=None)
 @given(st.integers(0, 10**6), st.integers(4, 9))
-def test_more_readings_never_harm(seed: int, axes: int) -> None:
-    """Of any array: an axis more, more frames, or the future as well never make the bound larger about any direction,
-    nor does the order of the axes change it.
+def test_more_readings_do_not_increase_the_bound(seed: int, axes: int) -> None:
+    """For any array: another axis, more frames, or future frames do not increase the bound in any direction, and the
+    order of the axes does not change it.
     """
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(axes, 3))
@@ -161,8 +161,8 @@ def test_more_readings_never_harm(seed: int, axes: int) -> None:
 def test_the_posterior_mean_reaches_the_bound() -> None:
     """300 arrays drawn from the law: the errors of the frames' best estimate have the covariance that is stated.
 
-    Stretches of an array correlate; an rms over 300 arrays and three axes is known to 1 / sqrt(2 * 900) = 2.4 % at
-    worst; four of these are allowed for.
+    Intervals of an array correlate; an rms over 300 arrays and three axes is known to 1 / sqrt(2 * 900) = 2.4 % at
+    worst; four of these are allowed.
     """
     rng = np.random.default_rng(11)
     base = triads([0.5, 0.4, 0.3])

@@ -1,4 +1,4 @@
-"""What the number and the mounting of gyroscopes gain, against the closed forms that white noise and slopes have."""
+"""The gain by number and mounting of gyroscopes, against closed forms for white noise and slopes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 @pytest.mark.slow
-def test_eight_icm42688_by_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    """0.0028 dps per root Hz (TDK-60), one-sided, is 0.119 deg per root hour; its mean falls with the root of n. A
-    slope that all share does not fall at all in one direction, and the four pairs of the array cancel it.
+def test_the_command_computes_eight_icm42688(capsys: pytest.CaptureFixture[str]) -> None:
+    """0.0028 dps per root Hz (TDK-60), one-sided, is 0.119 deg per root hour; its mean decreases with the root of n. A
+    common slope does not decrease with one direction of mounting, and the four pairs of the array cancel it.
     """
     assert main(["study", "--array", "icm42688x8", "--seeds", "2", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
@@ -34,8 +34,8 @@ def test_eight_icm42688_by_the_command(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.slow
-def test_an_opposed_pair_on_i2c() -> None:
-    """One clock a bit, nine bits a byte, of 14 bytes, two addresses and a register: 382.5 us a chip at 400 kHz."""
+def test_the_bus_time_of_an_opposed_pair_on_i2c() -> None:
+    """One clock per bit, nine bits per byte, 14 bytes, two addresses and a register: 382.5 us per chip at 400 kHz."""
     study = study_numbers(load_array(CONFIGS / "lsm6dso_pair.toml"), 1)
     assert [row.count for row in study.rows] == [1, 2]
     assert study.rows[1].bus_us == pytest.approx(2 * 382.5)
@@ -49,6 +49,6 @@ def test_fewer_than_two_gyroscopes_are_refused() -> None:
         study_numbers(parse_array(text), 1)
 
 
-def test_a_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_as_configuration_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "--array", "icm42688x8", "-o", str(tmp_path / "s")]) == 2
     assert "--output can't be combined with --array" in capsys.readouterr().err

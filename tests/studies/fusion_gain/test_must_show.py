@@ -1,7 +1,6 @@
-"""What the techniques must show on the simulated paper array, seed by seed against the truth.
-
-Claims about `optimal`, with the whole log and as a live one is fused, are checked on the posterior mean ("bound,
-causal") too, of which they must hold.
+"""Claims about the techniques on the simulated paper array, against the truth for each seed. Claims about `optimal`,
+with the whole log and for live fusion, are also checked on the posterior mean ("bound, causal"), for which they must
+hold.
 """
 
 from __future__ import annotations
@@ -81,9 +80,10 @@ def row_of(of_all: Study, **wanted: str) -> GainRow:
     return row
 
 
-def test_opposed_gyroscopes_follow_the_heat_less(tmp_path: Path) -> None:
+def test_opposed_gyroscopes_have_smaller_thermal_slopes(tmp_path: Path) -> None:
     """The paper's heating by 28 degC in a tenth of its time: about box Y at most a tenth of the average's slope with
-    temperature, elsewhere at most one per cent more. The campaign has the whole time, two seeds, and `optimal`.
+    temperature, elsewhere at most one per cent more. The test of the campaign has the whole time, two seeds, and
+    `optimal`.
     """
     path = tmp_path / "heating.h5"
     array = martin2013().only(("Gyro1", "Gyro2", "Gyro3", "BMP180"))
@@ -96,13 +96,13 @@ def test_opposed_gyroscopes_follow_the_heat_less(tmp_path: Path) -> None:
 
 
 @pytest.mark.campaign
-def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
-    """The paper's heating by 28 degC, its 110 minutes, a calibration that knows no slopes, two seeds.
+def test_opposed_gyroscopes_drift_less_while_heated(tmp_path: Path) -> None:
+    """The paper's heating by 28 degC, its 110 minutes, a calibration without slopes, two seeds.
 
     About box Y, where the slopes of Gyro1 y, Gyro2 y and Gyro3 y agree to 2 % (Table 8), at most a tenth of the
-    average's drift: of what follows the temperature, seed by seed, and of all drift, rms of minutes less the first.
-    Elsewhere what follows the temperature is not more than the average's by more than one per cent. `optimal` (one
-    seed) reaches the same about Y, and leaves less of all three together.
+    average's drift: of the thermal drift for each seed, and of all drift, rms of minutes minus the first. Elsewhere the
+    thermal drift exceeds that of the average by at most one per cent. `optimal` (one seed) reaches the same about Y,
+    and has a smaller drift of all three together.
     """
     array = martin2013().only(("Gyro1", "Gyro2", "Gyro3", "BMP180"))
     squares = np.zeros((2, 3))
@@ -124,7 +124,7 @@ def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
 
 
 def _drifts(log: Log, calibration: Calibration, technique: str) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) of the error's slope with the true temperature, and (3,) mean squares of minutes less the first one."""
+    """(3,) slopes of the error with the true temperature, and (3,) mean squares of minutes minus the first."""
     found = error_frames(log, fuse(log, calibration, technique))["angular_rate"]
     truth = log.truth
     assert truth is not None and truth.temperature is not None
@@ -133,7 +133,7 @@ def _drifts(log: Log, calibration: Calibration, technique: str) -> tuple[np.ndar
     return np.polyfit(degc, found.errors, 1)[0], np.mean((minutes - minutes[0]) ** 2, axis=0)
 
 
-def test_planes_of_perpendicular_boards(study_of: StudyOf) -> None:
+def test_noise_of_planes_with_perpendicular_boards(study_of: StudyOf) -> None:
     """Noise along every box axis at most that of the quietest axis in plane: 21.3 mg, ADXL2 x (Tables 10 and 11)."""
     whole = study_of("static")
     for axis in "XYZ":
@@ -144,9 +144,9 @@ def test_planes_of_perpendicular_boards(study_of: StudyOf) -> None:
         assert row.value / MG <= 21.3
 
 
-def test_ranges_of_two_bma180(tmp_path: Path) -> None:
+def test_noise_of_ranges_with_two_bma180(tmp_path: Path) -> None:
     """A 1.5 g and a 16 g BMA180 of Table 10's mean noise, 9.53 and 17.05 mg: 8.3 mg, where the average has 9.8 and the
-    low range alone 9.5. 3 x 14400 readings tell an rms to 0.4 %; four of these.
+    low range alone 9.5. 3 x 14400 readings determine an rms to 0.4 %; four of these.
     """
     sensors = ("BMA1", "BMA3")
     effects = {"BMA1": (WhiteNoise((0.01705,) * 3),), "BMA3": (WhiteNoise((0.00953,) * 3),)}
@@ -165,7 +165,7 @@ def test_ranges_of_two_bma180(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("technique", "experiment"), EACH)
-def test_within_five_per_cent_of_the_bound(study_of: StudyOf, technique: str, experiment: str) -> None:
+def test_optimal_is_within_five_per_cent_of_the_bound(study_of: StudyOf, technique: str, experiment: str) -> None:
     whole = study_of(experiment)
     rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms")
     assert {row.box_axis for row in rows} == {"X", "Y", "Z", "XYZ"}
@@ -175,9 +175,9 @@ def test_within_five_per_cent_of_the_bound(study_of: StudyOf, technique: str, ex
 
 
 @pytest.mark.parametrize(("technique", "experiment"), EACH)
-def test_its_covariance_is_consistent(study_of: StudyOf, technique: str, experiment: str) -> None:
-    """In its 95 % interval in all but what chance allows of eight runs or more (two seeds, four quantities; of eight
-    more than two are outside in 0.6 % of the cases), and nowhere off by 5 %.
+def test_the_covariance_of_optimal_is_consistent(study_of: StudyOf, technique: str, experiment: str) -> None:
+    """In its 95 % interval except for the number that chance allows in eight runs or more (two seeds, four quantities;
+    more than two of eight are outside in 0.6 % of the cases), and always within 5 %.
     """
     whole = study_of(experiment)
     rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms", box_axis="XYZ")
@@ -189,7 +189,7 @@ def test_its_covariance_is_consistent(study_of: StudyOf, technique: str, experim
 
 
 @pytest.mark.parametrize(("technique", "experiment"), EACH)
-def test_never_worse_than_the_best_single_technique(study_of: StudyOf, technique: str, experiment: str) -> None:
+def test_optimal_is_not_worse_than_the_best_other_technique(study_of: StudyOf, technique: str, experiment: str) -> None:
     """On the same readings: the whole error within half a per cent of the best of them."""
     whole = study_of(experiment)
     rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms", box_axis="XYZ")
@@ -209,11 +209,11 @@ CALIBRATED = [
     ("technique", "experiment", "calibration"),
     [*CALIBRATED, (OPTIMAL, "heating", "measured"), (OPTIMAL, "heating", "no slopes")],
 )
-def test_never_worse_than_the_best_single_technique_as_calibrated(
+def test_optimal_with_a_calibration_is_not_worse_than_the_best_other(
     study_of: StudyOf, technique: str, experiment: str, calibration: str
 ) -> None:
-    """With what `calibrate` made of logs of the same units, and without slopes: within one per cent, what two seeds
-    tell of a ratio where the best is the simple average.
+    """With a calibration of the same units by `calibrate`, and without slopes: within one per cent, the resolution of a
+    ratio by two seeds where the best is the simple average.
     """
     whole = study_of(experiment)
     rows = whole.of(experiment=experiment, calibration=calibration, technique=technique, measure="rms", box_axis="XYZ")
@@ -224,9 +224,9 @@ def test_never_worse_than_the_best_single_technique_as_calibrated(
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("technique", [OPTIMAL, OPTIMAL_CAUSAL])
-def test_shaken_by_hand_it_is_as_good_as_the_average(study_of: StudyOf, technique: str) -> None:
-    """Errors are of readings' ages, of which `ranges` alone learns what the ranges differ by: it is better for the
-    gyroscopes by some per cent.
+def test_optimal_shaken_by_hand_is_as_good_as_the_average(study_of: StudyOf, technique: str) -> None:
+    """Errors are due to the ages of readings, and only `ranges` learns the difference between the ranges: it is better
+    for the gyroscopes by some per cent.
     """
     shaken = study_of("shaking")
     for row in shaken.of(experiment="shaking", technique=technique, measure="rms", box_axis="XYZ"):

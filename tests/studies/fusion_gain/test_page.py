@@ -1,4 +1,4 @@
-"""The study's page: its verdict, and axes that one long interval does not stretch."""
+"""The study's page: its verdict, and axes that are not scaled by one long interval."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def row(technique: str, ratio: float, high: float, experiment: str = "heating") 
     return GainRow(experiment, "measured", "all", technique, "angular_rate", "rms", "XYZ", 1e-3, over)
 
 
-def test_the_technique_that_gains_most_is_named() -> None:
+def test_the_technique_with_the_largest_gain_is_named() -> None:
     rows = (
         row("mean", 1.0, 1.0),
         row("opposed", 0.4, 0.5),
@@ -33,7 +33,7 @@ def test_the_technique_that_gains_most_is_named() -> None:
     assert verdict.figures == (("0.40 ×", "opposed at best: heating"), ("0.80 ×", "planes at best: heating"))
 
 
-def test_a_gain_within_chance_is_none() -> None:
+def test_a_gain_within_chance_is_not_reported() -> None:
     verdict = study_verdict(Study((row("opposed", 0.9, 1.3),), (1,)))
     assert (verdict.level, verdict.sentence) == (
         "doubtful", "No technique is better than the simple average beyond chance.",
@@ -41,7 +41,7 @@ def test_a_gain_within_chance_is_none() -> None:
     assert study_verdict(Study((), (1,))).sentence == "No technique was compared with the simple average."
 
 
-def test_one_long_interval_does_not_stretch_the_axis() -> None:
+def test_one_long_interval_does_not_scale_the_axis() -> None:
     pytest.importorskip("matplotlib")
     figure = ratios_figure({"heading": [row("opposed", 0.5, 4e9), row("planes", 1.2, 1.4)]}, "over_mean")
     left, right = figure.axes[0].get_xlim()
@@ -56,7 +56,7 @@ def test_an_error_far_beyond_the_others_is_an_arrow_with_its_number() -> None:
     assert [text.get_text() for text in panel.texts] == ["77.7 ×"]
 
 
-def test_a_heading_that_is_lost_is_called_so(tmp_path: Path) -> None:
+def test_a_lost_heading_is_reported(tmp_path: Path) -> None:
     ends = [replace(row("planes", 2.0, 3.0), quantity="", measure="heading", value=value) for value in (59.0, 61.0)]
     write_study_page(tmp_path / "study.html", Study(tuple(ends), (1, 2)), {})
     page = (tmp_path / "study.html").read_text(encoding="utf-8")

@@ -34,7 +34,7 @@ def test_rows_pool_boots_of_a_seed_and_then_seeds() -> None:
     planes = rows["planes"]
     assert planes.value == pytest.approx(math.sqrt(8))
     assert planes.over_mean.ratio == pytest.approx(math.sqrt(0.5))
-    # Each of two seeds left out in turn: sqrt(10 / 16) and sqrt(6 / 16).
+    # Each of two seeds omitted in turn: sqrt(10 / 16) and sqrt(6 / 16).
     assert planes.over_mean.ratio_se == pytest.approx((math.sqrt(10 / 16) - math.sqrt(6 / 16)) / 2)
     assert planes.over_bound is not None and planes.over_bound.ratio == pytest.approx(2.0)
     assert (planes.normalised, planes.consistent) == (1.5, pytest.approx(2 / 3))
@@ -49,14 +49,14 @@ def test_a_short_study_has_every_technique(short: Study) -> None:
             assert set(technique_names()) <= {row.technique for row in rows}
     bounds = [row for row in short.of(measure="rms") if row.over_bound is not None]
     assert bounds and {row.calibration for row in bounds} == {"true"}
-    # 576 frames of three axes tell an rms to 1.7 %, and the posterior mean reaches its bound; four of these.
+    # 576 frames of three axes determine an rms to 1.7 %, and the posterior mean reaches its bound; four of these.
     for row in bounds:
         if row.technique.startswith("bound") and row.box_axis == "XYZ":
             assert row.over_bound is not None and row.over_bound.ratio == pytest.approx(1.0, abs=4 * 0.017)
 
 
 @pytest.mark.slow
-def test_a_study_is_told_in_text_and_json(short: Study) -> None:
+def test_a_study_is_written_as_text_and_json(short: Study) -> None:
     text = render_text(short)
     assert "static: 2 ADXL345, calibrated" in text and "planes" in text
     whole = json.loads(json.dumps(short.as_json(), allow_nan=False))
@@ -85,9 +85,9 @@ def test_the_command_writes_numbers_figures_and_a_page(
 
 
 @pytest.mark.slow
-def test_a_heated_box_for_a_drawing(short: Study, warm: HeatingErrors) -> None:
-    """Ten means of ten seconds, less the first; of the average, and of what differs from it; 24 to 52 degC, of 2200
-    frames a peak within 0.1 degC. A gyroscope's 0.02 dps/degC shows: by more than 0.1 dps.
+def test_curves_of_a_heated_box(short: Study, warm: HeatingErrors) -> None:
+    """Ten means of ten seconds, minus the first; of the average, and of techniques that differ from it; 24 to 52 degC,
+    with a peak of 2200 frames within 0.1 degC. The 0.02 dps/degC of a gyroscope are visible: more than 0.1 dps.
     """
     assert warm.time_s.tolist() == [5.0 + 10 * k for k in range(10)]
     assert {"mean", "opposed"} <= set(warm.errors)
@@ -107,7 +107,7 @@ def test_the_command_refuses_unknown_experiments(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.slow
-def test_workers_change_nothing() -> None:
+def test_results_do_not_depend_on_workers() -> None:
     with processes(2) as executor:
         apart = study(("static", "motion"), 1, seconds=12.0, executor=executor)
     assert apart.as_json() == study(("static", "motion"), 1, seconds=12.0).as_json()

@@ -1,4 +1,4 @@
-"""What a simulation says of its own units: its logs, calibrated with it, show the truth and noise of the stated law."""
+"""The true calibration of a simulation: its logs, calibrated with it, have the truth and noise of the stated law."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ G = 9.80665
 def errors_along_axes(
     folder: Path, experiment: str, seconds: float, without: tuple[str, ...], quantity: str, seed: int = 5
 ) -> tuple[Frames, np.ndarray, ErrorLaw]:
-    """Calibrated readings less the truth along each axis (n, m) in frames that last, and the law."""
+    """Calibrated readings minus the truth along each axis (n, m) in complete frames, and the law."""
     simulation = simulated(martin2013(), MOTIONS[experiment](ExperimentOptions(seconds=seconds)), seed, 0, without)
     write_log(simulation, folder / "run.h5")
     effects = {name: sensor.effects for name, sensor in simulation.sensors.items()}
@@ -47,8 +47,8 @@ def errors_along_axes(
     ("quantity", "steps"), some([("specific_force", 1 / 256), ("angular_rate", 0.07 * np.pi / 180)], 1)
 )
 def test_without_noise_the_true_calibration_gives_the_truth(tmp_path: Path, quantity: str, steps: float) -> None:
-    """Faces of a tumble, everything random left out: what is left is rounding (of the ADXL345 to two counts of 1/256 g,
-    of the L3G4200D to one of 0.07 dps), and in six faces its mean nearly nothing.
+    """Faces of a tumble without random effects: the remainder is rounding (of the ADXL345 to two counts of 1/256 g, of
+    the L3G4200D to one of 0.07 dps), whose mean over six faces is nearly zero.
     """
     drawn = ("white_noise", "turn_on_bias", "bias_instability", "thermometer")
     part, errors, _ = errors_along_axes(tmp_path, "tumble", 84.0, (*OUTSIDE, *drawn), quantity)
@@ -60,7 +60,7 @@ def test_without_noise_the_true_calibration_gives_the_truth(tmp_path: Path, quan
 
 
 @pytest.mark.slow
-def test_noise_is_that_of_the_law(tmp_path: Path) -> None:
+def test_noise_agrees_with_the_law(tmp_path: Path) -> None:
     """Scatter of neighbours over sqrt 2, to five of its standard errors of 1 / sqrt(2 n) 1.2."""
     for quantity in ("specific_force", "angular_rate"):
         (folder := tmp_path / quantity).mkdir()
@@ -72,7 +72,7 @@ def test_noise_is_that_of_the_law(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "boots", [pytest.param(6, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.campaign)]
 )
-def test_slow_errors_are_those_of_the_law(tmp_path: Path, boots: int) -> None:
+def test_slow_errors_agree_with_the_law(tmp_path: Path, boots: int) -> None:
     """Means of 30 s at 20 boots, squared, over the law's variance: a mean over 27 axes of 20 draws is known to
     sqrt(2 / 540) = 6 %, of 6 draws to 11 %; four of these.
     """
@@ -87,9 +87,9 @@ def test_slow_errors_are_those_of_the_law(tmp_path: Path, boots: int) -> None:
 
 
 @pytest.mark.slow
-def test_heating_leaves_no_slope(tmp_path: Path) -> None:
-    """28 degC in a minute, slopes taken out with the barometer's temperature: half-minute means range
-    over six of their standard deviations at most (3.7 are usual of twenty).
+def test_a_true_calibration_removes_thermal_slopes(tmp_path: Path) -> None:
+    """28 degC in a minute, slopes removed with the barometer's temperature: half-minute means span at most six of their
+    standard deviations (3.7 are usual for twenty).
     """
     _, errors, law = errors_along_axes(tmp_path, "heating", 600.0, OUTSIDE, "angular_rate")
     half_minute = np.array([rows.mean(axis=0) for rows in np.array_split(errors, 20)])
@@ -98,7 +98,7 @@ def test_heating_leaves_no_slope(tmp_path: Path) -> None:
     assert np.degrees(np.ptp(half_minute, axis=0)).max() < 0.1  # slopes of 0.008 to 0.036 dps/degC: up to 1 dps
 
 
-def test_what_the_law_has_and_what_it_has_not() -> None:
+def test_effects_inside_and_outside_the_law() -> None:
     assert set(OUTSIDE) < set(EFFECTS)
     assert {"tone", "g_sensitivity", "bandwidth", "bistable_bias", "range_reset"} <= set(OUTSIDE)
     assert not {"white_noise", "turn_on_bias", "bias_instability", "thermal_bias"} & set(OUTSIDE)

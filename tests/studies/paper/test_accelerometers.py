@@ -8,17 +8,17 @@ import pytest
 from imuarray.studies.paper.systematic import READINGS, reproduced, response_of, table3
 from imuarray.studies.paper.tables import numbers_in, row_of, tally
 
-# The one scale factor and the three drifts whose last digit Table 10's rounded readings can't give back.
+# The scale factor and the three drifts whose last digit does not follow from Table 10's rounded readings.
 BEYOND = {"scale_lsb_per_g": ["BMA4 x"], "drift_lsb": ["BMA1 x", "BMA3 z", "BMA4 z"]}
 
 
-def test_matches_per_column() -> None:
+def test_number_of_equal_cells_per_column() -> None:
     exact = {"drift_lsb": 15, "sem_lsb": 18, "bias_lsb": 18, "bias_mg": 18, "scale_lsb_per_g": 17}
     assert tally(table3()) == {column: [count, 18] for column, count in exact.items()}
     assert tally(table3(), within_input_rounding=True) == {column: [18, 18] for column in exact}
 
 
-def test_the_cells_that_differ_do_so_by_their_rounded_inputs_only() -> None:
+def test_differing_cells_are_explained_by_rounded_inputs() -> None:
     for column, channels in BEYOND.items():
         off = [
             (row.row["channel"], cell)
@@ -42,7 +42,7 @@ def test_the_cells_that_differ_do_so_by_their_rounded_inputs_only() -> None:
         ("BMA4 z", 148.693, 27.2, 5481.16, "+Z"),
     ],
 )
-def test_printed_rows(channel: str, bias: float, bias_mg: float, scale: float, axis: str) -> None:
+def test_rows_equal_the_printed_ones(channel: str, bias: float, bias_mg: float, scale: float, axis: str) -> None:
     row = next(row.as_json() for row in table3() if row.row["channel"] == channel)
     assert (row["bias_lsb"], row["bias_mg"], row["scale_lsb_per_g"]) == (bias, bias_mg, scale)
     assert row["main_axis"] == axis
@@ -50,7 +50,7 @@ def test_printed_rows(channel: str, bias: float, bias_mg: float, scale: float, a
 
 @pytest.mark.parametrize("channel", [row.row["channel"] for row in table3()])
 def test_response_is_the_least_squares_fit_to_the_six_faces(channel: str) -> None:
-    """Reading = bias + response . up, solved by least squares: another way to the same seven numbers."""
+    """Reading = bias + response . up, solved by least squares: an independent computation of the same numbers."""
     readings = [float(value) for value in numbers_in(row_of(10, channel), READINGS[:6])]
     up = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, -1]], dtype=float)
     solution, *_ = np.linalg.lstsq(np.column_stack([up, np.ones(6)]), np.array(readings), rcond=None)
@@ -66,5 +66,5 @@ def test_response_is_the_least_squares_fit_to_the_six_faces(channel: str) -> Non
     ("quotient_mended", "sum_mended", "count"),
     [(False, False, 0), (False, True, 0), (True, False, 4), (True, True, 18)],
 )
-def test_which_form_of_appendix_b_made_table_3(quotient_mended: bool, sum_mended: bool, count: int) -> None:
+def test_the_form_of_appendix_b_used_for_table_3(quotient_mended: bool, sum_mended: bool, count: int) -> None:
     assert reproduced(quotient_mended=quotient_mended, sum_mended=sum_mended) == count

@@ -1,4 +1,4 @@
-"""Judging a recomputed number: rounding, ties, and what the rounding of the inputs can explain."""
+"""Comparison of a recomputed number: rounding, ties, and the effect of rounded inputs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def to_places(value: Decimal, digits: int) -> Decimal:
 
 
 @pytest.mark.parametrize(("printed", "half"), [("1.234", "0.0005"), ("26", "0.5"), ("-0.10", "0.005"), ("0", "0.5")])
-def test_half_unit_of_the_last_printed_digit(printed: str, half: str) -> None:
+def test_a_cell_matches_within_half_a_unit_of_the_last_digit(printed: str, half: str) -> None:
     assert half_unit(Decimal(printed)) == Decimal(half)
 
 
@@ -40,7 +40,7 @@ def test_half_unit_of_the_last_printed_digit(printed: str, half: str) -> None:
         ("1.2346", "1.234", "1.235"),
         ("0.2195", "0.219", "0.219"),  # a tie: printed down
         ("0.02285", "0.0229", "0.0229"),  # a tie: printed up
-        ("0.2195", "0.230", "0.220"),  # a tie whose neighbours are both not what is printed
+        ("0.2195", "0.230", "0.220"),  # a tie, neither neighbour of which is the printed value
         ("-0.0004", "0.000", "0.000"),
         ("-5369.78471", "-5369.79", "-5369.78"),
     ],
@@ -50,7 +50,7 @@ def test_rounding_to_the_printed_digits(value: str, printed: str, rounded: str) 
 
 
 @given(value=numbers, printed=numbers, digits=places)
-def test_rounding_never_moves_by_more_than_half_a_unit(value: Decimal, printed: Decimal, digits: int) -> None:
+def test_rounding_moves_by_at_most_half_a_unit(value: Decimal, printed: Decimal, digits: int) -> None:
     shown = to_places(printed, digits)
     rounded = rounded_like(value, shown)
     assert abs(rounded - value) <= half_unit(shown)
@@ -68,7 +68,7 @@ def test_reach_of_a_linear_formula_is_exact(weights: list[int], digits: int) -> 
 
 @given(values=st.lists(numbers, min_size=2, max_size=7), input_digits=places, digits=places)
 def test_a_correctly_printed_mean_is_always_explained(values: list[Decimal], input_digits: int, digits: int) -> None:
-    """Print a mean of unrounded numbers, keep only their rounded selves: the recomputation must not cry slip."""
+    """A printed mean of unrounded numbers, recomputed from the rounded numbers, must not be reported as a slip."""
 
     def formula(inputs: Sequence[Decimal]) -> Decimal:
         return sum(inputs, Decimal(0)) / len(inputs)
@@ -86,7 +86,7 @@ def test_a_cell_beyond_the_rounding_of_its_inputs_is_not_explained() -> None:
     assert not cell.within_input_rounding
 
 
-def test_rows_put_the_printed_value_beside_the_recomputed_one() -> None:
+def test_rows_have_printed_and_recomputed_values() -> None:
     row = {"channel": "ADXL1 x", "range": "16g", "a": "1.20", "b": "7", "c": ""}
     cells = (numeric_cell(row, "a", lambda v: v[0], [Decimal("1.31")]), text_cell(row, "range", "2g"))
     result = RecomputedRow(row, cells, {"note": 1}).as_json()
@@ -96,5 +96,5 @@ def test_rows_put_the_printed_value_beside_the_recomputed_one() -> None:
 
 
 @pytest.mark.parametrize(("text", "value"), [("", None), ("16g", "16g"), ("3", 3), ("-1.50", -1.5)])
-def test_plain_cells(text: str, value: float | str | None) -> None:
+def test_cells_are_converted_to_numbers_or_text(text: str, value: float | str | None) -> None:
     assert plain(text) == value

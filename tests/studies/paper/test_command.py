@@ -1,4 +1,4 @@
-"""`imuarray paper`: the object, the page, the files, and what is refused."""
+"""`imuarray paper`: the object, the page, the files, and refusals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PICTURES = {"pairs.png", "blending.png", "runs.png"}
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def test_the_object_is_plain_json_and_complete() -> None:
+def test_the_object_is_plain_and_complete_json() -> None:
     result = recompute()
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     assert {f"table{number}" for number in range(1, 12)} < set(result)
@@ -31,7 +31,7 @@ def test_the_object_is_plain_json_and_complete() -> None:
     assert result["within_input_rounding"]["table3"]["scale_lsb_per_g"] == [18, 18]
 
 
-def test_matches_count_the_rows_that_agree() -> None:
+def test_matches_are_the_numbers_of_equal_rows() -> None:
     result = recompute()
     for name, columns in result["matches"].items():
         for column, (equal, total) in columns.items():
@@ -39,7 +39,7 @@ def test_matches_count_the_rows_that_agree() -> None:
             assert (sum(row[column] == row[f"printed_{column}"] for row in rows), len(rows)) == (equal, total)
 
 
-def test_a_callers_decimal_context_does_not_matter() -> None:
+def test_results_do_not_depend_on_the_decimal_context() -> None:
     expected = recompute()
     with localcontext() as context:
         context.prec = 4
@@ -47,7 +47,7 @@ def test_a_callers_decimal_context_does_not_matter() -> None:
         assert Decimal(1) / 3 == Decimal("0.3333")
 
 
-def test_the_page_is_narrow_and_tells_the_story() -> None:
+def test_the_text_fits_100_columns_and_has_the_main_results() -> None:
     text = render_text(json.loads(json.dumps(recompute())))
     assert max(len(line) for line in text.splitlines()) <= 100
     assert len(text.splitlines()) < 90
@@ -63,7 +63,7 @@ def test_the_page_is_narrow_and_tells_the_story() -> None:
     assert "\N{NO-BREAK SPACE}" not in text
 
 
-def test_printing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_text_or_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper"]) == 0
     assert capsys.readouterr().out == render_text(recompute())
     assert main(["paper", "--json"]) == 0
@@ -71,7 +71,7 @@ def test_printing(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "new" / "place"
     assert main(["paper", "-o", str(out)]) == 0
@@ -86,7 +86,7 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_file_is_overwritten_only_with_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     taken = tmp_path / "table7.csv"
     taken.write_text("mine")
     assert main(["paper", "-o", str(tmp_path)]) == 2
@@ -99,7 +99,7 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.Cap
     assert taken.read_text().startswith("run,x_lsb")
 
 
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unwritable_folder_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(["paper", "-o", str(tmp_path / "file" / "below")]) == 2
     (tmp_path / "paper.json").mkdir()
@@ -109,7 +109,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pyte
     assert str(tmp_path / "paper.json") in second
 
 
-def test_without_matplotlib_there_are_tables_and_a_hint(
+def test_without_matplotlib_tables_and_a_hint_are_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(paper_files, "find_spec", lambda name: None)
@@ -118,7 +118,7 @@ def test_without_matplotlib_there_are_tables_and_a_hint(
     assert "imuarray[report]" in capsys.readouterr().err
 
 
-def test_nothing_heavy_is_imported() -> None:
+def test_no_heavy_package_is_imported() -> None:
     imports = "import sys, imuarray.commands.paper; from imuarray.studies.paper import recompute"
     code = f"{imports}; recompute(); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""The arithmetic behind the figures, on series whose answer is known."""
+"""The arithmetic of the figures, on series with a known result."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def series(counts: np.ndarray) -> Series:
     return Series((np.arange(len(counts)) * 20_000_000).astype(np.int64), counts.astype(np.int16))
 
 
-def test_a_moving_average_of_a_ramp_is_the_ramp() -> None:
+def test_the_moving_average_of_a_ramp_is_the_ramp() -> None:
     rows = 20_000
     ramp = np.outer(np.arange(rows), [1.0, -0.5, 0.0])
     found = smoothed(series(np.floor(ramp)), window_s=40.0, step_s=2.0)
@@ -30,11 +30,11 @@ def test_a_moving_average_of_a_ramp_is_the_ramp() -> None:
     assert np.diff(found.seconds) == pytest.approx(2.0)
 
 
-def test_rate() -> None:
+def test_the_rate_of_a_series() -> None:
     assert rate_hz(series(np.zeros((11, 3)))) == pytest.approx(RATE)
 
 
-def test_a_kept_sensor_gives_what_was_read() -> None:
+def test_a_stored_sensor_returns_the_rows_read() -> None:
     class Canned:
         rows = 10
 
@@ -48,7 +48,7 @@ def test_a_kept_sensor_gives_what_was_read() -> None:
     assert kept.series.time_ns.tolist() == kept.series.counts[:, 2].tolist() == list(range(10))
 
 
-def test_the_box_is_heated_as_the_paper_says() -> None:
+def test_the_heating_is_that_of_the_paper() -> None:
     """24 degC for five minutes, 42 to 43 after ten, about 52 after twenty, 110 minutes in all (section 5.2.5)."""
     found = profile(60.0)
     assert found.seconds[-1] == 110 * 60
@@ -61,7 +61,7 @@ def test_density_of_white_noise_and_of_a_line() -> None:
     """White noise of deviation s has a density of s sqrt(2 / rate); a sine of amplitude a, with a Hann window over n
     rows, a / sqrt(2) over sqrt(1.5 rate / n).
 
-    195 segments, 1023 bins: the mean density is sure to 0.03 %, its root's bias is 1 / (8 * 195); 1 % is allowed.
+    195 segments, 1023 bins: the mean density is known to 0.03 %, the bias of its root is 1 / (8 * 195); 1 % is allowed.
     """
     random = np.random.default_rng(12)
     rows = 200_000

@@ -16,14 +16,14 @@ from imuarray.studies.paper.tables import tally
 from imuarray.studies.paper.variation import admitted, derived, range_over_deviation, readings
 
 
-def test_every_standard_error_and_all_of_table_2_follow() -> None:
+def test_standard_errors_and_table_2_follow_from_other_tables() -> None:
     counts = {"mean_lsb": [6, 6], "std_lsb": [6, 6], "sem_lsb": [8, 8], "runs_sem": [34, 34], "cont_sem": [34, 34]}
     assert tally(derived()) == counts
     assert tally(derived(), within_input_rounding=True) == counts
 
 
 def test_readings_from_the_narrowest_rows() -> None:
-    """Which rows bind was found by looking; each end is one row's rounding, by hand."""
+    """The limiting rows are listed here; each limit is the rounding of one row, by hand."""
     slow, fast, runs, windows = readings()
     ends = {
         slow: ((35.5115 / 0.05115) ** 2, (35.1935 / 0.05065) ** 2),  # Gyro1 y, z
@@ -45,7 +45,7 @@ def test_readings_from_the_narrowest_rows() -> None:
     deviation=st.decimals("0.5", 100, places=6),
     digits=st.tuples(st.integers(1, 4), st.integers(4, 7)),
 )
-def test_what_was_printed_correctly_admits_the_true_number(
+def test_correctly_printed_values_admit_the_true_number_of_readings(
     count: int, deviation: Decimal, digits: tuple[int, int]
 ) -> None:
     """A deviation and its standard error are rounded; 10^-5 covers the decimal root."""
@@ -54,13 +54,13 @@ def test_what_was_printed_correctly_admits_the_true_number(
         for value, places in zip((deviation, deviation / Decimal(count).sqrt()), digits, strict=True)
     )
     if error <= Decimal(1).scaleb(-digits[1]):
-        return  # half a unit of it is half of it: nothing can be told
+        return  # half a unit is half of the value: the number is undetermined
     least, most = admitted(printed, error)
     assert float(least) * (1 - 1e-5) <= count <= float(most) * (1 + 1e-5)
 
 
-def test_ranges_over_deviations() -> None:
-    """Possible ends: all but two of fifteen in the middle, or seven at one end and eight at the other.
+def test_possible_and_expected_ranges_over_deviations() -> None:
+    """Possible limits: all but two of fifteen in the middle, or seven at one end and eight at the other.
 
     The normal mean by 200 000 draws: standard error 0.36 / sqrt(200 000), five of them are allowed (1 in 10^6).
     """
@@ -91,7 +91,7 @@ STRAYS = {
 }
 
 
-def test_figures_of_the_text_that_the_tables_do_not_give() -> None:
+def test_figures_of_the_text_that_differ_from_the_tables() -> None:
     found = {}
     for row in stated():
         (cell,) = row.cells
@@ -101,7 +101,7 @@ def test_figures_of_the_text_that_the_tables_do_not_give() -> None:
     assert tally(stated()) == {"value": [23, 35]}
 
 
-def test_a_figure_counts_to_its_digits() -> None:
+def test_a_figure_is_compared_to_its_digits() -> None:
     """Around 50 LSB: the mean of 40.05, 51.06, 49.98, 46.12, 68.80, 56.33 is 52.06, 50 to one digit."""
     rows = {row.row["channel"]: row.as_json() for row in stated()}
     around = rows["BMA180 1.5g xyz noise, LSB"]
@@ -109,7 +109,7 @@ def test_a_figure_counts_to_its_digits() -> None:
     assert rows["L3G4200D with a positive slope, of 9"]["value"] == 8
 
 
-def test_rows_in_the_object() -> None:
+def test_derived_rows_of_the_object() -> None:
     result = recompute()
     first = result["derived"][0]
     assert first == {

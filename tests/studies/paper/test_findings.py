@@ -32,7 +32,7 @@ def value(number: int, channel: str, column: str) -> float:
 
 
 def noise(sensors: tuple[str, ...], axes: str = AXES, unit_per_lsb: float = 1.0) -> float:
-    """Root mean square of what Tables 10 and 11 print."""
+    """Root mean square of the noise in Tables 10 and 11."""
     columns = [value(number, f"{name} {axis}", at) for name in sensors for axis in axes for number, at in ARRAY_NOISE]
     return float(np.sqrt(np.mean(np.square(columns)))) * unit_per_lsb
 
@@ -44,7 +44,7 @@ def gyro_noise_dps() -> float:
 
 
 def high_rate_bandwidth_hz() -> float:
-    """Over which Table 9's noise has the density of L3G-74."""
+    """Bandwidth at which Table 9's noise has the density of L3G-74."""
     deviations = [float(row["std_dps"]) for row in table(9) if not row["output"].endswith("t")]
     return float(np.mean([(deviation / 0.03) ** 2 for deviation in deviations]))
 
@@ -166,17 +166,17 @@ def finding(name: str) -> Finding:
     return next(one for one in findings() if one.name == name)
 
 
-def test_every_figure_is_worked_out_here() -> None:
+def test_every_figure_has_a_derivation_here() -> None:
     assert {one.name: len(one.figures) for one in findings()} == {name: len(some) for name, some in PRINTED.items()}
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_figures_follow_from_the_published_tables(name: str) -> None:
+def test_figures_equal_those_from_the_published_tables(name: str) -> None:
     derived = [float(work_out()) for work_out in PRINTED[name]]
     assert [figure.printed for figure in finding(name).figures] == pytest.approx(derived, rel=2e-3)
 
 
-def test_even_codes_beside_the_data_sheet() -> None:
+def test_noise_with_even_codes_is_consistent_with_the_data_sheet() -> None:
     # ADX-67, ADX-68: 0.75 and 1.1 LSB at 100 Hz, root 2 an octave; codes 1 or 2 apart add 1/12 or 4/12
     for figure, at_100_hz in zip(finding("even codes").figures, (0.75, 1.1), strict=True):
         assert figure.data_sheet == pytest.approx(sqrt(at_100_hz**2 * 4 + 1 / 12), rel=1e-3)
@@ -186,7 +186,7 @@ def test_even_codes_beside_the_data_sheet() -> None:
     assert finding("even codes").parameters["rate_hz"] == max(CHIPS["adxl345"].rates_hz)
 
 
-def test_filters_of_the_chips() -> None:
+def test_filters_of_the_chips_explain_the_findings() -> None:
     assert max(CHIPS["bma180"].allowed_bandwidths_hz(2400.0)) == 1200.0 < 3943
     assert 35.0 in CHIPS["l3g4200d"].allowed_bandwidths_hz(800.0)
     assert finding("filter of the gyroscopes in the array").parameters == {"bandwidth_hz": 35.0}
@@ -194,7 +194,7 @@ def test_filters_of_the_chips() -> None:
     assert 0.5 < low / high < 0.6
 
 
-def test_noise_of_the_bandwidth_correlates_by_itself() -> None:
+def test_band_limited_noise_explains_the_correlation() -> None:
     band_hz = high_rate_bandwidth_hz()
     one_pole_hz = 2 * band_hz / pi  # noise bandwidth of one pole: pi / 2 times its cut-off
     assert exp(-2 * pi * one_pole_hz / 350) == pytest.approx(0.28, abs=0.005)
@@ -202,7 +202,7 @@ def test_noise_of_the_bandwidth_correlates_by_itself() -> None:
     assert finding("filter of the high-rate gyroscope").parameters == {"cutoff_hz": 51.0}
 
 
-def test_the_line_adds_no_noise_that_can_be_seen() -> None:
+def test_the_line_does_not_increase_the_noise_observably() -> None:
     x, y, _, high_x, high_y, _ = (float(row["std_dps"]) for row in table(9) if not row["output"].endswith("t"))
     assert y < x
     assert high_y < high_x
@@ -220,7 +220,7 @@ def test_only_two_slopes_are_beyond_the_data_sheet() -> None:
     assert max(slope for name, slope in dps.items() if name[:5] == "Gyro3") * 0.00875 < 0.03
 
 
-def test_parameters_of_runs() -> None:
+def test_parameters_of_boot_faults_and_states_follow_from_runs() -> None:
     usual = np.delete(runs(6), 9, axis=0).mean(axis=0) / 512
     assert finding("boot fault").parameters["offset_g"] == pytest.approx((runs(6)[9] / 4096 - usual).tolist(), abs=5e-5)
     state = runs(7)[second_set()].mean(axis=0) - runs(7)[~second_set()].mean(axis=0)
@@ -229,7 +229,7 @@ def test_parameters_of_runs() -> None:
     assert second_set().sum() == 8
 
 
-def test_sensors_are_those_that_show_it() -> None:
+def test_findings_name_the_sensors_beyond_the_limits() -> None:
     shown = {
         "wander within a run": [name for name, share in over_white_noise().items() if share > white_noise_limit()],
         "another bias at each switch-on": [name for name, share in over_in_run().items() if share > 2.435],
@@ -239,7 +239,7 @@ def test_sensors_are_those_that_show_it() -> None:
         assert sorted({channel.split()[0] for channel in channels}) == list(finding(name).sensors)
 
 
-def test_what_is_said_of_angles_and_levels() -> None:
+def test_statements_on_angles_and_levels_follow_from_the_tables() -> None:
     own = {row["channel"]: max(AXES, key=lambda k: abs(half_difference(row["channel"], k))) for row in table(3)}
     others = [angle_deg(at, k, axis) for at, axis in own.items() for k in AXES if k != axis and at[:4] != "BMA3"]
     assert max(others) == pytest.approx(3.4, abs=0.1)
@@ -289,7 +289,7 @@ def test_the_object_has_the_keys_of_gap_diagnose() -> None:
     assert lean["effect_size"] == pytest.approx(4.92 - 1.0)
 
 
-def test_the_text_is_narrow_and_complete() -> None:
+def test_the_text_fits_its_width_and_is_complete() -> None:
     text = render_text()
     assert max(map(len, text.splitlines())) <= 100
     for words in (
@@ -303,7 +303,7 @@ def test_the_text_is_narrow_and_complete() -> None:
         assert f"{one.name[1:]} ({one.place})" in text
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_and_writes_the_findings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "gap"
     assert main(["paper", "--gap", "--json", "-o", str(out)]) == 0
     assert json.loads(capsys.readouterr().out) == as_json() == json.loads((out / "gap.json").read_text())

@@ -29,6 +29,6 @@ def test_dps_columns_of_tables_2_and_9() -> None:
     assert table2()[0].as_json()["std_dps"] == 0.3221
 
 
-def test_table_9_says_how_long_the_fast_runs_were() -> None:
+def test_table_9_gives_the_length_of_the_fast_runs() -> None:
     """Appendix A.1: about 1400 s at about 350 Hz, 490 000 samples; the standard error gives 482 500 for Gyro1 x."""
     assert table9()[0].as_json()["samples"] == pytest.approx(482_500, rel=1e-3)

@@ -1,4 +1,4 @@
-"""The fitted model against the printed tables, each group by a way of its own."""
+"""The fitted model against the printed tables, each group by an independent computation."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def printed(number: int, name: str, column: str) -> np.ndarray:
     return np.array([float(row_of(number, f"{name} {axis}")[column]) for axis in "xyz"])
 
 
-def test_the_shipped_file_is_what_the_fit_writes() -> None:
+def test_the_shipped_file_is_that_of_the_fit() -> None:
     assert SHIPPED.read_text(encoding="utf-8") == fit_text()
 
 
 @pytest.mark.slow
-def test_it_is_printed_by_running_the_module() -> None:
+def test_the_module_prints_the_fit() -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "imuarray.studies.paper.array_model"], capture_output=True, text=True, check=True
     )
@@ -78,8 +78,8 @@ def test_every_sensor_of_the_array_is_a_known_unit() -> None:
 
 
 @pytest.mark.parametrize("name", ACCELEROMETERS)
-def test_accelerometers_read_the_six_faces_again(name: str) -> None:
-    """The model's own equations, written out: what is left is how far pairs of faces disagree, 0 on average."""
+def test_the_model_reproduces_the_six_faces_of_accelerometers(name: str) -> None:
+    """The equations of the model, written out: the residual is the disagreement of pairs of faces, 0 on average."""
     unit, sensor = unit_of(name), array[name]
     tangents = np.eye(3)
     tangents[~np.eye(3, dtype=bool)] = np.tan(np.radians(unit.angles_deg))
@@ -96,7 +96,7 @@ def test_accelerometers_read_the_six_faces_again(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ACCELEROMETERS)
-def test_scale_and_bias_are_table_3s(name: str) -> None:
+def test_scale_and_bias_equal_table_3(name: str) -> None:
     unit = unit_of(name)
     drift = np.mean(FACES_DEGC[:6]) - 25
     slope = printed(8, name, "slope_lsb_per_degc")
@@ -104,11 +104,11 @@ def test_scale_and_bias_are_table_3s(name: str) -> None:
     np.testing.assert_allclose(unit.bias * nominal(name), bias, atol=6e-4)
     scale = np.abs(printed(3, name, "scale_lsb_per_g"))
     off = np.abs((1 + unit.scale_error) * nominal(name) - scale)
-    assert (off <= 0.01 + 0.14 * np.abs(slope)).all()  # faces differ by 0.26 degC at most, half of it counts
+    assert (off <= 0.01 + 0.14 * np.abs(slope)).all()  # faces differ by 0.26 degC at most, half of which contributes
 
 
 @pytest.mark.parametrize("name", GYROSCOPES)
-def test_response_to_force_is_half_of_table_4s(name: str) -> None:
+def test_the_response_to_force_is_half_of_table_4(name: str) -> None:
     unit = unit_of(name)
     slope = printed(8, name, "slope_lsb_per_degc")
     degc = dict(zip(UP, FACES_DEGC, strict=False))
@@ -118,13 +118,13 @@ def test_response_to_force_is_half_of_table_4s(name: str) -> None:
         np.testing.assert_allclose(2 * in_box[:, index], difference, atol=6e-4)
 
 
-def test_the_faulty_run_comes_out_as_printed() -> None:
+def test_the_faulty_run_is_reproduced() -> None:
     others = np.mean([[float(row[f"{a}_lsb"]) for a in "xyz"] for row in table(6) if row["run"] != "10"], axis=0)
     faulty = 4096 * (others / 512 + bma1_reset_offset_g())
     np.testing.assert_allclose(faulty, [31.79535, -124.464, 4308.719], rtol=1e-9)
 
 
-def test_the_two_states_of_gyro3() -> None:
+def test_the_two_states_of_gyro3_are_reproduced() -> None:
     """Finding 15: about (0, 70, 2) and (-12.6, 75, 0.7) LSB."""
     np.testing.assert_allclose(gyro3_other_state_lsb(), [-12.5, 5.2, -1.4], atol=0.05)
     gyro = unit_of("Gyro3")
@@ -133,7 +133,7 @@ def test_the_two_states_of_gyro3() -> None:
 
 
 @pytest.mark.parametrize("name", [*ACCELEROMETERS, *GYROSCOPES])
-def test_noise_lies_between_the_printed_deviations(name: str) -> None:
+def test_noise_is_between_the_printed_deviations(name: str) -> None:
     unit = unit_of(name)
     columns = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
     stds = np.array([printed(number, name, column) for number, column in columns])
@@ -154,7 +154,7 @@ def test_in_run_and_turn_on_add_up_to_table_11(name: str) -> None:
     np.testing.assert_allclose(cont[fitted], printed_cont[fitted], rtol=1e-9)
     assert (cont[~fitted] >= printed_cont[~fitted]).all()
     if name in ("BMA1", "Gyro3"):
-        return  # their columns hold a fault and two states
+        return  # their columns contain a fault and two states
     runs = printed(11, name, "runs_sem") ** 2 + (slope * 0.131) ** 2 + (unit.turn_on / lsb) ** 2
     runs = runs + (unit.in_run / lsb) ** 2 * variance_of_mean(300.0)
     fitted = unit.turn_on > 0
@@ -167,7 +167,7 @@ def test_neighbours_correlate_as_in_figure_13() -> None:
 
 
 @pytest.mark.parametrize(("window_s", "time_constant_s"), [(300.0, 600.0), (900.0, 100.0)])
-def test_variance_and_covariance_of_means_are_the_double_integrals(window_s: float, time_constant_s: float) -> None:
+def test_variance_and_covariance_of_means_equal_double_integrals(window_s: float, time_constant_s: float) -> None:
     def integral(shift_s: float, low: float, high: float) -> float:
         value, _ = dblquad(lambda t, s: exp(-abs(t - s - shift_s) / time_constant_s), 0, window_s, low, high)
         return float(value) / window_s**2
@@ -186,8 +186,10 @@ def test_expected_scatter_is_that_of_a_covariance_matrix() -> None:
 
 
 @pytest.mark.parametrize("rms", [0.05, 0.2, 0.35, 0.8])
-def test_noise_before_rounding(rms: float) -> None:
-    """Variance of a rounded normal number, from the probabilities of the codes, averaged over where its mean lies."""
+def test_noise_before_rounding_is_recovered(rms: float) -> None:
+    """Variance of a rounded normal number, from the probabilities of the codes, averaged over the
+    position of its mean.
+    """
     codes = np.arange(-8, 9)
     variances = []
     for mean in np.arange(0, 1, 1 / 256) + 1 / 512:
@@ -196,7 +198,7 @@ def test_noise_before_rounding(rms: float) -> None:
     assert rms_before_rounding(float(np.mean(variances))) == pytest.approx(rms, rel=1e-3)
 
 
-def test_what_two_units_foretell_of_a_third() -> None:
+def test_the_prediction_of_a_third_unit_from_two() -> None:
     found = spread(np.array([[1.0, 2.0], [3.0, 4.0]]), count=2)
     assert (found.mean, found.limit) == (2.5, None)
     assert found.shared == pytest.approx(1 / 3)
@@ -206,7 +208,7 @@ def test_what_two_units_foretell_of_a_third() -> None:
 
 
 @pytest.mark.slow
-def test_virtual_units_can_be_drawn_and_share_what_the_design_has() -> None:
+def test_virtual_units_are_drawn_with_common_design_errors() -> None:
     model = parse_model(fit_text())
     header = header_of(array["Gyro1"], {})
     slopes = []

@@ -14,7 +14,7 @@ from imuarray.studies.paper.variation import RangeNoise, bma180_blend, logging_r
 sizes = st.decimals(Decimal("0.1"), 100, places=2)
 
 
-def test_bma180_blend() -> None:
+def test_the_blend_of_bma180_ranges() -> None:
     result = bma180_blend().as_json()
     assert result["low_mg"] == pytest.approx(9.53, abs=0.005)
     assert result["high_mg"] == pytest.approx(17.05, abs=0.006)
@@ -27,7 +27,7 @@ def test_bma180_blend() -> None:
 
 
 @given(low=sizes, high=sizes)
-def test_no_other_weight_is_better(low: Decimal, high: Decimal) -> None:
+def test_the_blend_has_the_best_weight(low: Decimal, high: Decimal) -> None:
     blend = RangeNoise(low, high)
     weights = np.linspace(0, 1, 1001)
     scanned = np.hypot(weights * float(low), (1 - weights) * float(high))
@@ -51,7 +51,7 @@ def test_adxl345_z_is_twice_as_noisy() -> None:
     assert len(planes()) == 9
 
 
-def test_logging_rate() -> None:
+def test_the_logging_rate_follows_from_standard_errors() -> None:
     rate = logging_rate()
     assert 47.85 < rate["table10_hz"]["smallest"] <= rate["table10_hz"]["largest"] < 48.0
     assert rate["table10_hz"]["mean"] == pytest.approx(47.9, abs=0.05)
@@ -60,7 +60,7 @@ def test_logging_rate() -> None:
     assert rate["samples_per_face"] > 40_000  # section 5.2
 
 
-def test_table_10_gains_rate_and_noise() -> None:
+def test_table_10_has_additional_columns_of_rate_and_noise() -> None:
     rows = {row.row["channel"]: row.as_json() for row in table10()}
     assert rows["ADXL1 x"]["rate_hz"] == 47.96
     assert rows["ADXL1 z"]["noise"] == pytest.approx(12.28892 / 256 * 1000, abs=1e-4)

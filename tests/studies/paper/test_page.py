@@ -1,5 +1,5 @@
-"""The paper's page: every number in its place, what is far off marked, nothing fetched, and what happens without the
-optional packages.
+"""The paper's page: all numbers, marks of large deviations, no external resources, and the page without optional
+packages.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Tables(HTMLParser):
             self.summary.append(data)
 
     def of(self, start: str) -> list[list[str]]:
-        """The rows of the section that begins so."""
+        """The rows of the section whose heading begins with `start`."""
         return next(rows for heading, rows in self.rows.items() if heading.startswith(start))
 
 
@@ -91,7 +91,7 @@ def page(made: Made) -> Tables:
 
 
 @pytest.mark.slow
-def test_nothing_is_fetched_and_every_tag_is_closed(made: Made, page: Tables) -> None:
+def test_the_page_has_no_external_resources_and_closes_every_tag(made: Made, page: Tables) -> None:
     without_images = re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", made.text)
     assert "//" not in without_images and "url(" not in without_images
     assert "<script" not in made.text
@@ -101,8 +101,8 @@ def test_nothing_is_fetched_and_every_tag_is_closed(made: Made, page: Tables) ->
 
 
 @pytest.mark.slow
-def test_every_statistic_is_there_and_what_is_far_off_is_marked(made: Made, page: Tables) -> None:
-    """Table 11 has no column in another unit: a row per statistic; marks are of |z| > 2 and of nothing else."""
+def test_the_page_has_every_statistic_and_marks_large_deviations(made: Made, page: Tables) -> None:
+    """Table 11 has no column in another unit: a row per statistic; marks are for |z| > 2 only."""
     rows = page.of("Table 11")
     assert rows[0] == ["channel", "statistic", "paper", "recomputed", "simulated", "difference", "z"]
     assert len(rows) - 1 == 34 * 11
@@ -112,7 +112,7 @@ def test_every_statistic_is_there_and_what_is_far_off_is_marked(made: Made, page
 
 
 @pytest.mark.slow
-def test_numbers_stand_as_printed(page: Tables) -> None:
+def test_numbers_have_their_printed_digits(page: Tables) -> None:
     """Also zeros at the end (Table 2: 0.1240), and scale factors without their sign (Table 3: -261.38)."""
     two = {(row[0], row[1]): row[2:] for row in page.of("Table 2")}
     assert two["Gyro1 x 250dps", "mean_dps"] == ["0.1240", "0.1240", "–", "–", "–"]
@@ -126,7 +126,7 @@ def test_numbers_stand_as_printed(page: Tables) -> None:
 
 
 @pytest.mark.slow
-def test_difference_and_z_of_a_row(made: Made, page: Tables) -> None:
+def test_difference_and_z_of_a_row_by_hand(made: Made, page: Tables) -> None:
     (found,) = (row for row in made.replica.of("Table 8") if (row.channel, row.statistic[:5]) == ("Gyro1 y", "slope"))
     (row,) = (row for row in page.of("Table 8") if row[:2] == ["Gyro1 y", "slope_lsb_per_degc"])
     assert row[2] == "0.265"
@@ -135,8 +135,8 @@ def test_difference_and_z_of_a_row(made: Made, page: Tables) -> None:
 
 
 @pytest.mark.slow
-def test_opposed_gyroscopes_keep_little(page: Tables) -> None:
-    """0.002 LSB/degC by Table 8; simulated slopes are sure to about 0.008 (in-run wander), so the half-difference to
+def test_opposed_gyroscopes_have_a_small_fused_slope(page: Tables) -> None:
+    """0.002 LSB/degC by Table 8; simulated slopes are known to about 0.008 (in-run wander), so the half-difference to
     0.006: five of that.
     """
     rows = {row[0]: row[1:] for row in page.of("Table 8")}
@@ -146,7 +146,7 @@ def test_opposed_gyroscopes_keep_little(page: Tables) -> None:
 
 
 @pytest.mark.slow
-def test_the_summary_tells_what_was_found(made: Made, page: Tables) -> None:
+def test_the_summary_states_the_results(made: Made, page: Tables) -> None:
     whole = made.replica.summary
     text = " ".join(page.summary)
     assert f"Of the {whole.count} statistics, simulated with seed 1, {whole.within[0]} (" in text
@@ -164,7 +164,7 @@ def test_the_summary_tells_what_was_found(made: Made, page: Tables) -> None:
 
 @pytest.mark.slow
 def test_only_the_overview_is_open(made: Made) -> None:
-    """Fourteen tables, and everything that is told of the text, are behind a line each; one table is open."""
+    """Fourteen tables, and all results on the text, are collapsed to one line each; one table is open."""
     visible = re.sub(r"<details>.*?</details>", "", made.text, flags=re.DOTALL)
     assert visible.count("<table") == 1
     assert visible.count("<img") == 0
@@ -172,14 +172,14 @@ def test_only_the_overview_is_open(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_figures_stand_with_their_tables(page: Tables) -> None:
+def test_figures_are_next_to_their_tables(page: Tables) -> None:
     assert len(page.images) == 10
     assert all(page.images)
     assert NO_FIGURES not in page.summary
 
 
 @pytest.mark.slow
-def test_without_curves_the_page_says_so(made: Made, tmp_path: Path) -> None:
+def test_a_page_without_curves_states_it(made: Made, tmp_path: Path) -> None:
     path = tmp_path / "paper.html"
     write_paper_page(path, made.replica, None)
     bare = Tables(path.read_text(encoding="utf-8"))
@@ -190,7 +190,7 @@ def test_without_curves_the_page_says_so(made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_axes_have_units_and_lines_are_where_they_should(made: Made) -> None:
+def test_axes_have_units_and_lines_their_expected_positions(made: Made) -> None:
     drawn = temperature_figure(made.curves, "Gyro2 x", 0.521, 5.67).axes[0]
     ours, theirs = (line for line in drawn.get_lines() if len(line.get_xdata()) == 2)
     found = made.observed.heated["Gyro2"]
@@ -213,8 +213,8 @@ def test_axes_have_units_and_lines_are_where_they_should(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_half_of_the_difference_hardly_follows_the_temperature(made: Made) -> None:
-    """Over 28 degC the single ones move by 7 LSB, half of their difference by 0.06 and its own wander (0.1 LSB)."""
+def test_half_of_the_difference_has_little_thermal_drift(made: Made) -> None:
+    """Over 28 degC single gyroscopes change by 7 LSB, half of their difference by 0.06 and its wander (0.1 LSB)."""
     spans = np.ptp(made.curves.opposed.lsb, axis=0)
     assert spans[:2].min() > 6
     assert spans[2] < 0.8
@@ -235,11 +235,11 @@ def statistic(published: float, simulated: float, uncertainty: float, scale: str
         (statistic(50.0, inf, 5.0), ["50", "–", "–", "–", "+inf"]),
     ],
 )
-def test_lines(twin: Statistic, texts: list[str]) -> None:
+def test_texts_of_a_row(twin: Statistic, texts: list[str]) -> None:
     assert line_of(twin).texts() == ["a", "b", *texts]
 
 
-def test_marks_begin_beyond_two() -> None:
+def test_deviations_beyond_two_are_marked() -> None:
     assert not line_of(statistic(0.0, 2.0, 1.0)).marked
     assert line_of(statistic(0.0, -2.001, 1.0)).marked
     assert not PrintedNumber("a", "b", "1", None, None).marked
@@ -255,20 +255,20 @@ def test_marks_begin_beyond_two() -> None:
         (Cell("x", "-Y", "+Y", False), "+Y", "-Y ≠"),
     ],
 )
-def test_recomputed_texts(cell: Cell, printed: str, text: str) -> None:
+def test_texts_of_recomputed_cells(cell: Cell, printed: str, text: str) -> None:
     assert recomputed_text(cell, printed) == text
 
 
 @pytest.fixture
 def quick(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command without the seconds of simulation."""
+    """The command without its simulation."""
     monkeypatch.setattr(replica_package, "observe", lambda seed, progress: made.observed)
     monkeypatch.setattr(replica_package, "curves_of", lambda observed: made.curves)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_the_command_writes_both_and_overwrites_neither(
+def test_the_command_writes_both_files_and_overwrites_neither(
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "place"
@@ -286,7 +286,7 @@ def test_the_command_writes_both_and_overwrites_neither(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_the_command_without_matplotlib_and_without_jinja2(
+def test_the_command_works_without_matplotlib_and_jinja2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(paper_files, "find_spec", lambda name: None)
@@ -303,7 +303,7 @@ def test_the_command_without_matplotlib_and_without_jinja2(
     assert [path.name for path in (tmp_path / "bare").iterdir()] == ["replica.json"]
 
 
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unwritable_folder_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(["paper", "--replica", "-o", str(tmp_path / "file" / "below")]) == 2
     error = capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The arithmetic of the replica by closed forms, and one whole replica."""
+"""The arithmetic of the replica against closed forms, and one whole replica."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def test_z_of_a_deviation(published: float, factor: float, uncertainty: float) -
     )
 
 
-def test_z_at_the_ends() -> None:
+def test_z_of_equal_and_zero_values() -> None:
     assert linear(AT, 1.0, 1.0, {}).z == 0
     assert linear(AT, 1.0, 0.0, {}).z == -inf
     assert logarithmic(AT, 1.0, 0.0, {"x": 0.1}).z == -inf
 
 
-def test_parts_add_as_squares_and_are_named_by_size() -> None:
+def test_parts_of_the_uncertainty_add_as_squares_and_are_sorted() -> None:
     total, names = combined({"sem": 3.0, "day-to-day": 4.0, "dust": 0.1, "none": 0.0})
     assert total == pytest.approx(sqrt(25.01))
     assert names == "day-to-day 4, sem 3"
@@ -65,7 +65,7 @@ def of(group: str, shared: float, z: float = 1.0) -> Statistic:
 
 
 @pytest.mark.parametrize(("count", "shared"), [(7, 0.0), (7, 1.0), (15, 0.5)])
-def test_statistics_with_a_common_cause_are_fewer(count: int, shared: float) -> None:
+def test_statistics_with_a_common_cause_are_fewer_independent_ones(count: int, shared: float) -> None:
     rows = [of("Gyro1 x", shared)] * count
     assert effective_degrees(rows) == pytest.approx(count**2 / (count + count * (count - 1) * shared**2))
     assert effective_degrees([*rows, *(of("", shared) for _ in range(3))]) == pytest.approx(
@@ -73,8 +73,8 @@ def test_statistics_with_a_common_cause_are_fewer(count: int, shared: float) -> 
     )
 
 
-def test_the_expected_interval_holds_19_of_20() -> None:
-    """2000 sets of 40 statistics in groups of 8 that share half: about 95 % lie inside.
+def test_the_expected_interval_covers_19_of_20() -> None:
+    """2000 sets of 40 statistics in groups of 8 with half of their variance in common: about 95 % are inside.
 
     The number inside is binomial, sigma 0.5 %; the interval, of the right first two moments, is itself within 1 %.
     Fixed seed; 4 sigma and that 1 %: error rate below 1e-4.
@@ -87,7 +87,7 @@ def test_the_expected_interval_holds_19_of_20() -> None:
     assert inside == pytest.approx(0.95, abs=0.03)
 
 
-def test_summary_counts_all_and_judges_the_independent() -> None:
+def test_the_summary_counts_all_and_tests_independent_statistics() -> None:
     rows = [of("", 0, z) for z in (0.5, -1.5, 2.5, 4.0)]
     derived = Statistic(*AT, 0.0, 10.0, 1.0, "", derived=True)
     found = summary([*rows, derived])
@@ -96,13 +96,13 @@ def test_summary_counts_all_and_judges_the_independent() -> None:
 
 
 def test_scatter_of_a_deviation_is_that_of_chi() -> None:
-    """var(ln s) of n normal numbers is trigamma((n - 1) / 2) / 4; the first-order form lies 4 % below at n = 15."""
+    """var(ln s) of n normal numbers is trigamma((n - 1) / 2) / 4; the first-order form is 4 % below at n = 15."""
     exact = sqrt(float(polygamma(1, 7))) / 2
     assert log_deviation(np.eye(15), 0.0) == pytest.approx(exact, rel=0.05)
 
 
 @pytest.mark.parametrize("extra", [0.0, 3.0])
-def test_scatter_of_a_deviation_with_memory_and_steps(extra: float) -> None:
+def test_scatter_of_a_deviation_with_correlation_and_rounding(extra: float) -> None:
     """40000 draws (sampling error 0.4 %) against the first-order form: within 8 %, which is its neglect of skewness."""
     covariance = 0.8 ** np.abs(np.subtract.outer(np.arange(15), np.arange(15))) if not extra else np.eye(15)
     random = np.random.default_rng(6)
@@ -112,13 +112,13 @@ def test_scatter_of_a_deviation_with_memory_and_steps(extra: float) -> None:
     assert log_deviation(covariance, extra) == pytest.approx(float(np.log(drawn.std(axis=1, ddof=1)).std()), rel=0.08)
 
 
-def test_range_over_deviation_of_fifteen() -> None:
+def test_range_over_deviation_of_fifteen_normal_values() -> None:
     drawn = np.random.default_rng(7).standard_normal((40_000, 15))
     ratios = np.log(np.ptp(drawn, axis=1) / drawn.std(axis=1, ddof=1))
     assert float(ratios.std()) == pytest.approx(RANGE_OVER_DEVIATION, rel=0.02)  # sampling error 0.4 %
 
 
-def test_day_to_day_and_faces_from_printed_numbers() -> None:
+def test_changes_by_day_and_face_from_printed_numbers() -> None:
     """ADXL1 x at 25 degC: Table 10 12.33293 + 0.024 1.23803, Table 11 12.453 - 0.024 0.495 ..., Table 8 12.99 - 0.6."""
     np.testing.assert_allclose(levels("ADXL1 x"), [12.36264, 12.44112, 12.19761, 12.39], atol=1e-5)
     assert day_to_day("ADXL1 x") == day_to_day("ADXL2 y")
@@ -131,7 +131,7 @@ def test_day_to_day_and_faces_from_printed_numbers() -> None:
 
 
 class Canned:
-    """A sensor whose rows are given: one a millisecond."""
+    """A sensor with given rows: one per millisecond."""
 
     def __init__(self, counts: np.ndarray, told: np.ndarray | None) -> None:
         self.rows, self.counts, self.told = len(counts), counts, told
@@ -142,7 +142,7 @@ class Canned:
         return Block(time, self.counts[start:stop], np.zeros(stop - start, np.uint16), told)
 
 
-def test_windows_across_blocks() -> None:
+def test_windows_across_blocks_are_complete() -> None:
     random = np.random.default_rng(8)
     counts = random.integers(-8192, 8191, (150_000, 3)).astype(np.int16)
     told = random.integers(-128, 127, 150_000).astype(np.int16)
@@ -155,7 +155,7 @@ def test_windows_across_blocks() -> None:
     assert np.isnan(windows(Canned(counts, None), spans)[0].mean[3])
 
 
-def test_a_line_through_temperatures() -> None:
+def test_the_slope_and_residual_over_temperature() -> None:
     motion = Heating(scale=1 / 60)  # 110 s
     degc = np.asarray(motion.felt(np.arange(110_000, dtype=np.int64) * 10**6).temperature_degc)
     counts = np.rint(np.outer(degc, [2.0, -3.0, 0.0]) * 100 + [7, 0, 5]).astype(np.int16)
@@ -182,7 +182,7 @@ def test_spectrum_and_correlation_of_a_known_signal() -> None:
     assert exp(-2 * pi * 51 / 350) == pytest.approx(0.4, abs=1e-3)
 
 
-def test_runs_are_as_warm_as_the_independent_thermometer_says() -> None:
+def test_temperatures_of_runs_are_those_of_the_barometer() -> None:
     degc = run_temperatures()
     assert (degc.mean(), degc.std(ddof=1)) == (pytest.approx(24.505), pytest.approx(0.131))
     assert np.ptp(degc) == pytest.approx(0.473, abs=0.06)  # Table 11's range, not used
@@ -198,12 +198,12 @@ def replica() -> Replica:
 
 
 @pytest.mark.slow
-def test_no_statistic_is_left_out(replica: Replica) -> None:
-    """Rows times columns of the CSV files; units given twice count once, text adds what it says."""
+def test_the_replica_has_every_statistic(replica: Replica) -> None:
+    """Rows times columns of the CSV files; units given twice are counted once, the text adds its own statistics."""
     folder = Path(__file__).parents[3] / "imuarray/studies/paper/tables"
     rows = {int(path.name[5:7]): len(path.read_text().splitlines()) - 1 for path in folder.glob("table*.csv")}
     counts = {2: 2, 3: 4, 4: 5, 5: 1, 6: 4, 7: 4, 8: 2, 9: 3, 10: 9, 11: 11}  # columns that are statistics
-    text = {6: 2, 7: 1}  # run 10 over the others, share of faulty runs; share of runs in the second state
+    text = {6: 2, 7: 1}  # ratio of run 10 to the others, share of faulty runs; share of runs in the second state
     expected = {f"Table {n}": rows[n] * columns + text.get(n, 0) for n, columns in counts.items()}
     expected |= {"Figure 13": 4, "Figure 14": 4, "Appendix A.2": 2, "Appendix A.3": 3}
     assert {name: len(replica.of(name)) for name in replica.tables} == expected
@@ -211,7 +211,7 @@ def test_no_statistic_is_left_out(replica: Replica) -> None:
 
 
 @pytest.mark.slow
-def test_the_array_repeats_the_tables(replica: Replica) -> None:
+def test_the_array_reproduces_the_tables(replica: Replica) -> None:
     """Chi-square of all axes inside its 95 % interval, for this seed; a true model fails for 1 seed in 20."""
     found = summary([row for row in replica.statistics if " t" not in row.channel])
     assert found.expected[0] < found.chi_square < found.expected[1]
@@ -219,7 +219,7 @@ def test_the_array_repeats_the_tables(replica: Replica) -> None:
 
 
 @pytest.mark.slow
-def test_most_statistics_lie_within_their_uncertainties(replica: Replica) -> None:
+def test_most_statistics_are_within_their_uncertainties(replica: Replica) -> None:
     """Normal deviates would have 68, 95 and 99.7 %; 1033 correlated ones scatter by 3, 1.5 and 0.4 % (one sigma)."""
     one, two, three = (count / replica.summary.count for count in replica.summary.within)
     assert 0.56 < one < 0.80
@@ -228,7 +228,7 @@ def test_most_statistics_lie_within_their_uncertainties(replica: Replica) -> Non
 
 
 @pytest.mark.slow
-def test_what_is_far_off_is_listed(replica: Replica) -> None:
+def test_large_deviations_are_listed(replica: Replica) -> None:
     page = render_text(replica)
     assert max(map(len, page.splitlines())) <= 100
     assert f"uncertainties off: {len(replica.beyond())}" in page
@@ -238,7 +238,7 @@ def test_what_is_far_off_is_listed(replica: Replica) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_json(replica: Replica) -> None:
+def test_the_replica_is_written_as_json(replica: Replica) -> None:
     found = json.loads(json.dumps(replica.as_json(), allow_nan=False))
     assert found["seed"] == 1
     assert len(found["statistics"]) == replica.summary.count
@@ -246,6 +246,6 @@ def test_it_is_json(replica: Replica) -> None:
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(replica: Replica) -> None:
+def test_results_do_not_depend_on_workers(replica: Replica) -> None:
     with ThreadPoolExecutor(2) as executor:
         assert Replica(1, tuple(compare(observe(1, executor)))) == replica

@@ -25,7 +25,7 @@ from tests.selection import examples
 SECOND_STATE = (3, 4, 5, 7, 10, 11, 13, 15)
 
 
-def test_run_10_of_bma1_came_up_at_two_g() -> None:
+def test_run_10_of_bma1_started_in_the_2_g_range() -> None:
     (fault,) = boot_faults()
     result = fault.as_json()
     assert (result["run"], result["column"], result["nearest_range"]) == (10, "z_lsb", "2g")
@@ -38,11 +38,11 @@ def test_run_10_of_bma1_came_up_at_two_g() -> None:
     ("lsb_per_g", "name"),
     [("512", "16g"), ("700", "16g"), ("750", "8g"), ("4100", "2g"), ("5000", "1.5g"), ("9999", "1g")],
 )
-def test_nearest_range_is_nearest_in_ratio(lsb_per_g: str, name: str) -> None:
+def test_the_nearest_range_is_by_ratio(lsb_per_g: str, name: str) -> None:
     assert nearest_range(Decimal(lsb_per_g)) == name
 
 
-def test_gyro3_has_the_two_states_that_the_paper_colours() -> None:
+def test_gyro3_has_the_two_states_coloured_in_the_paper() -> None:
     first, second = bias_states()
     assert second.runs == SECOND_STATE
     assert first.runs == tuple(run for run in range(1, 16) if run not in SECOND_STATE)
@@ -59,8 +59,8 @@ def scatter(points: np.ndarray) -> float:
 
 @settings(max_examples=examples(30))
 @given(seed=st.integers(0, 2**32 - 1), small=st.integers(2, 4), distance=st.floats(4, 40))
-def test_the_split_is_the_best_of_all_two_way_splits(seed: int, small: int, distance: float) -> None:
-    """Two clouds eight points in all: every way to part them is tried."""
+def test_the_split_equals_exhaustive_search(seed: int, small: int, distance: float) -> None:
+    """Two clusters with eight points in all: every partition is tried."""
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=3)
     direction *= distance / np.linalg.norm(direction)

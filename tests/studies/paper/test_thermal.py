@@ -1,4 +1,4 @@
-"""Pairs of Table 8: literals worked out by hand from the printed slopes."""
+"""Pairs of Table 8: literals computed by hand from the printed slopes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from imuarray.studies.paper.systematic import pair_of, pairs, table8
         ("Gyro1 z", "Gyro2 z", "opposed", 0.017, 12.0),  # (0.221 - 0.187) / 2
         ("ADXL1 z", "ADXL2 z", "parallel", -0.273, 1.0),
         ("BMA1 x", "BMA2 x", "opposed", 0.1195, 1.0),
-        ("BMA1 y", "BMA2 y", "parallel", -0.2285, 1.0),  # Table 1 as printed would call them opposed
+        ("BMA1 y", "BMA2 y", "parallel", -0.2285, 1.0),  # they would be opposed by Table 1 as printed
         ("BMA1 z", "BMA2 z", "opposed", -0.152, 2.26),
         ("BMA3 y", "BMA4 y", "parallel", 0.9175, 1.0),
         ("BMA3 z", "BMA4 z", "opposed", -3.3755, 1.0),
     ],
 )
-def test_what_a_pair_keeps(first: str, second: str, relation: str, fused: float, reduction: float) -> None:
+def test_the_fused_slope_of_a_pair(first: str, second: str, relation: str, fused: float, reduction: float) -> None:
     pair = pair_of(first, second).as_json()
     assert pair["relation"] == relation
     assert pair["fused_slope_lsb_per_degc"] == fused
     assert pair["reduction"] == reduction
 
 
-def test_pairs_never_mix_designs_ranges_or_axes() -> None:
+def test_pairs_have_the_same_design_range_and_axis() -> None:
     found = [(pair.first["channel"], pair.second["channel"]) for pair in pairs()]
     assert len(found) == 12
     sensors = {(a.split()[0], b.split()[0]) for a, b in found}
@@ -36,7 +36,7 @@ def test_pairs_never_mix_designs_ranges_or_axes() -> None:
     assert all(a.split()[1] == b.split()[1] for a, b in found)
 
 
-def test_turning_one_adxl345_round_would_have_helped() -> None:
+def test_the_fused_slope_with_one_adxl345_reversed() -> None:
     pair = pair_of("ADXL1 z", "ADXL2 z").as_json()
     assert pair["fused_slope_if_turned_lsb_per_degc"] == -0.079
     assert pair["carries_1g"] is True

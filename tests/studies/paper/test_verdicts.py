@@ -1,4 +1,4 @@
-"""Slips and conclusions: what holds, and the numbers that the evidence names."""
+"""Slips and conclusions: their verdicts, and the numbers in their evidence."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SLIP_EVIDENCE = {
 
 
 @pytest.mark.parametrize("name", SLIPS)
-def test_slips_are_slips_and_show_their_numbers(name: str) -> None:
+def test_slips_do_not_hold_and_their_evidence_has_the_numbers(name: str) -> None:
     place, *words = SLIP_EVIDENCE[name]
     statement = SLIPS[name]()
     assert statement.holds is False
@@ -57,7 +57,7 @@ VERDICTS = [
 ]
 
 
-def test_conclusions_and_their_verdicts() -> None:
+def test_conclusions_have_their_verdicts_and_evidence() -> None:
     found = conclusions()
     assert len(found) == len(VERDICTS)
     for statement, (claim, holds, evidence) in zip(found, VERDICTS, strict=True):
@@ -68,11 +68,11 @@ def test_conclusions_and_their_verdicts() -> None:
 
 
 @pytest.mark.parametrize(("positive", "total"), [(8, 9), (1, 9), (5, 12), (6, 12), (0, 5), (1, 1)])
-def test_sign_test_against_scipy(positive: int, total: int) -> None:
+def test_the_sign_test_equals_scipy(positive: int, total: int) -> None:
     assert sign_test(positive, total) == pytest.approx(float(stats.binomtest(positive, total).pvalue))
 
 
-def test_range_ratio_by_hand() -> None:
+def test_the_ratio_of_biases_of_two_ranges_by_hand() -> None:
     """Table 3's biases, mg as printed: six at 1.5 g, six at 16 g."""
     low = (10.1 + 2.1 + 9.7 + 9.9 + 7.7 + 27.2) / 6
     high = (180.6 + 249.5 + 22.5 + 53.8 + 184.8 + 132.9) / 6
