@@ -48,7 +48,7 @@ def rows_at_rest(sensor: Sensor, faults: tuple[Fault, ...] = (), bias_g: float =
     return record(Unit(sensor, part, faults), Session(0, static(stream, 20), frames, 0.0), 0.0, stream)
 
 
-def test_nothing_but_numpy_h5py_and_the_standard_library_is_imported() -> None:
+def test_only_numpy_h5py_and_the_standard_library_are_imported() -> None:
     allowed = set(sys.stdlib_module_names) | {"numpy", "h5py"}
     modules = [path for path in Path(__file__).parent.glob("*.py") if not path.name.startswith("test_")]
     assert len(modules) >= 10
@@ -71,7 +71,7 @@ def test_there_are_nine_controls_and_21_cases_with_faults() -> None:
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_logs_open_and_are_good(tmp_path: Path, name: str) -> None:
+def test_logs_open_and_are_valid(tmp_path: Path, name: str) -> None:
     case = CASES[name]
     paths = write_case(name, case, tmp_path)
     assert len(paths) == len(case.experiments)
@@ -86,7 +86,7 @@ def test_logs_open_and_are_good(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_seed_gives_the_same_bytes_always(tmp_path: Path) -> None:
+def test_a_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     name, case = "s07", CASES["s07"]
     (first,), (again,) = (write_case(name, case, tmp_path / folder) for folder in ("first", "again"))
     (other,) = write_case(name, case, tmp_path / "other", seed_offset=1000)
@@ -139,7 +139,7 @@ def test_the_spectrum_of_noise_is_its_power_law(exponent: int) -> None:
         assert part.mean() == pytest.approx(1, abs=0.03)
 
 
-def test_gravity_turns_with_the_box() -> None:
+def test_gravity_rotates_with_the_box() -> None:
     time_s = grid(3.0)
     rate = np.outer(np.ones_like(time_s), [0.5, 0, 0])
     motion = motion_of(Course(3.0, np.eye(3), rate, np.zeros_like(rate), np.full_like(time_s, 22), ()))
@@ -164,7 +164,7 @@ def test_rows_that_repeat_a_sample_are_flagged() -> None:
     assert (rows.counts[stale] == rows.counts[np.flatnonzero(stale) - 1]).all()
 
 
-def test_rows_at_an_end_of_the_codes_are_flagged() -> None:
+def test_rows_at_the_limits_of_the_codes_are_flagged() -> None:
     rows = rows_at_rest(*alone(bma180("B", 1, "+X+Y+Z", 10)), bias_g=1 - 9.8121 / 9.80665)
     saturated = (rows.status & SATURATED).astype(bool)
     assert 0.1 < saturated.mean() < 0.9
@@ -173,7 +173,7 @@ def test_rows_at_an_end_of_the_codes_are_flagged() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["c1", "c3", "c5"])
-def test_there_is_no_gap_in_a_control(tmp_path: Path, name: str) -> None:
+def test_a_control_has_no_gap(tmp_path: Path, name: str) -> None:
     diagnosis = imuarray.diagnose(write_case(name, CASES[name], tmp_path), seed=1)
     assert diagnosis.verdict == "no gap"
     assert diagnosis.causes == ()

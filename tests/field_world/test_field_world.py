@@ -46,18 +46,18 @@ DATA_SHEET_WORDS = {
 
 
 def still(duration_s: float, face: str = "z_up") -> World:
-    """A box that lies on a level table without vibration."""
+    """A box at rest on a level table without vibration."""
     world = World(KEY, duration_s, 400)
     world.q = np.tile(FACE[face], (world.n, 1))
     return world.finish()
 
 
 def values_of(sensor: Sensor, world: World, *faults: Fault) -> np.ndarray:
-    """What a sensor measures before its codes, in its unit."""
+    """The measured values of a sensor before conversion to codes, in its unit."""
     return convert(world, sensor, Part(KEY, sensor), KEY, 0, faults, 0).real / sensor.sensitivity
 
 
-def test_nothing_but_numpy_scipy_h5py_and_the_standard_library_is_imported() -> None:
+def test_only_numpy_scipy_h5py_and_the_standard_library_are_imported() -> None:
     allowed = set(sys.stdlib_module_names) | {"numpy", "scipy", "h5py"}
     modules = [path for path in Path(__file__).parent.glob("*.py") if not path.name.startswith("test_")]
     assert len(modules) >= 10
@@ -88,7 +88,7 @@ def test_the_diagnosis_knows_the_names_of_all_effects() -> None:
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_logs_open_and_are_good(tmp_path: Path, name: str) -> None:
+def test_logs_open_and_are_valid(tmp_path: Path, name: str) -> None:
     case = CASES[name]()
     truth = write_case(case, tmp_path)
     assert truth["effects"] == []
@@ -101,7 +101,7 @@ def test_logs_open_and_are_good(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_seed_gives_the_same_bytes_always(tmp_path: Path) -> None:
+def test_a_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     for folder, offset in (("first", "0"), ("again", "0"), ("other", "1000")):
         main([str(tmp_path / folder), "--seed-offset", offset, "--only", "lone_gyro"])
     first, again, other = (
@@ -114,7 +114,7 @@ def test_a_seed_gives_the_same_bytes_always(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("face", FACE)
-def test_gravity_is_along_the_axis_that_is_up(face: str) -> None:
+def test_gravity_is_along_the_up_axis(face: str) -> None:
     expected = np.zeros(3)
     expected["XYZ".index(UP[face][1])] = 9.80665 if UP[face][0] == "+" else -9.80665
     np.testing.assert_allclose(still(2, face).f, np.tile(expected, (len(still(2, face).f), 1)), atol=0.015)
@@ -130,7 +130,7 @@ def test_the_noise_in_the_pass_band_has_the_density_of_the_part() -> None:
     assert (np.abs(density / 150e-6 - 1) < 0.15).all()  # BMA-110
 
 
-def test_faults_have_their_sizes() -> None:
+def test_faults_change_the_readings_by_their_size() -> None:
     sensor, world = Sensor("A", "bma180", "acc", 2, 0, 150), still(10)
     part = Part(KEY, sensor)
     gain = (1 + part.scale[2]) * 0.998
@@ -171,7 +171,7 @@ def test_the_barometer_computes_the_example_of_its_data_sheet() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["morning_starts", "lone_gyro"])
-def test_there_is_no_gap_in_a_control(tmp_path: Path, name: str) -> None:
+def test_a_control_has_no_gap(tmp_path: Path, name: str) -> None:
     write_case(CASES[name](), tmp_path)
     diagnosis = imuarray.diagnose(sorted((tmp_path / name).glob("*.h5")), seed=1)
     assert diagnosis.verdict == "no gap"
