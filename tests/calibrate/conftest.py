@@ -92,7 +92,7 @@ class WriteLog:
         keep: Callable[[str, npt.NDArray[np.int64]], npt.NDArray[np.bool_]] | None = None,
         status: Callable[[str, npt.NDArray[np.int16]], npt.NDArray[np.uint16]] | None = None,
     ) -> Path:
-        """One pose after the other; `keep` says which rows (by sensor and time) arrived, `status` flags counts."""
+        """Write the poses in order; `keep` selects the received rows (by sensor and time), `status` flags counts."""
         rng = np.random.default_rng(seed)
         felt = _felt(ups, rows, moving_rows, rng)
         time = np.round(np.arange(len(felt)) * 1e9 / rate_hz).astype(np.int64)

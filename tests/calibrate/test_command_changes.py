@@ -21,7 +21,9 @@ SECOND = [k in (2, 3, 5, 8, 9) for k in range(12)]
 
 @pytest.fixture
 def runs(tmp_path: Path) -> list[str]:
-    """Twelve runs of a minute: the accelerometer came up at 2 g in run 7, the gyroscope in one of two states."""
+    """Twelve runs of a minute: the accelerometer started in the 2 g range in run 7, the gyroscope in
+    one of two states.
+    """
     rng = np.random.default_rng(21)
     time, sound = np.arange(1200, dtype=np.int64) * 50_000_000, np.zeros(1200, np.uint16)
     paths = [tmp_path / f"{k}.h5" for k in range(1, 13)]

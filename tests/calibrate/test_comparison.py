@@ -74,8 +74,8 @@ def test_the_two_most_different_calibrations_are_named() -> None:
 
 @pytest.mark.slow
 def test_false_alarms_of_unchanged_figures_are_rare() -> None:
-    """200 pairs of calibrations of three sensors whose figures scatter as their standard errors say: in 5 % of them
-    some figure is said to have changed; more than 10 % of 5 % would in less than one of five hundred seeds.
+    """200 pairs of calibrations of three sensors whose figures scatter by their standard errors: in 5 % of them some
+    figure is reported as changed; less than one of five hundred seeds gives more than 10 %.
     """
     rng = np.random.default_rng(5)
 

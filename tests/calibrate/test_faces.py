@@ -155,7 +155,7 @@ def test_errors_agree_with_the_stated_uncertainty(write_log: WriteLog) -> None:
         error = found.response_lsb_per_unit - part.response
         response.append(error[:, 0] / found.response_sem_lsb_per_unit)
     low, high = chi2.ppf((0.0005, 0.9995), 100)
-    # sem comes from 16 batches a face: its scatter widens the ratios by about 1 + 1 / (6 * 15).
+    # sem is estimated from 16 batches per face: its scatter widens the ratios by about 1 + 1 / (6 * 15).
     for sums in ((np.array(bias) ** 2).sum(axis=0), (np.array(response) ** 2).sum(axis=0)):
         assert (sums > low).all() and (sums < high * (1 + 1 / 30)).all(), sums
 
@@ -163,7 +163,7 @@ def test_errors_agree_with_the_stated_uncertainty(write_log: WriteLog) -> None:
 @pytest.mark.slow
 def test_parameters_of_200_sensors_are_within_their_covariance(write_log: WriteLog) -> None:
     """Normalised error squared of all twelve parameters, mean over 200 draws: chi-square with 2400 degrees of freedom
-    over 200, 2 / 88 larger since the noise comes from 6 faces of 15 batches; two-sided error rate 1e-3.
+    over 200, 2 / 88 larger since the noise is estimated from 6 faces of 15 batches; two-sided error rate 1e-3.
     """
     rng = np.random.default_rng(21)
     parts = [

@@ -204,7 +204,7 @@ def test_a_line_is_detected_with_its_share_of_the_variance(tmp_path: Path) -> No
 
 
 def wandering(rows: int, from_hz: float, to_hz: float, amplitude: float) -> Floats:
-    """A sine at 100 readings a second whose frequency goes from one to the other."""
+    """A sine at 100 readings per second whose frequency changes from `from_hz` to `to_hz`."""
     return np.asarray(amplitude * np.sin(2 * np.pi * np.cumsum(np.linspace(from_hz, to_hz, rows)) / 100))
 
 

@@ -31,14 +31,14 @@ def two_sensors(sigma: float = 10.0) -> list[Part]:
 
 
 def tumbled() -> Floats:
-    """14 poses, each far from the one before."""
+    """14 poses, each far from the previous one."""
     ups = directions(14, np.random.default_rng(3))
     assert np.linalg.norm(np.diff(ups, axis=0), axis=1).min() > 0.3
     return ups
 
 
 def check_poses(path: Path, rows: int, moving_rows: int) -> None:
-    """Each pose is detected once, lies inside the true pose, and is not much shorter."""
+    """Each pose is detected once, is inside the true pose, and is not much shorter."""
     with open_log(path) as log:
         poses = find_poses(log)
     assert len(poses) == 14

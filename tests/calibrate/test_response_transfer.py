@@ -141,7 +141,7 @@ def test_every_technique_improves_by_gravity(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_uninformative_or_contradicting_gravity_changes_nothing(tmp_path: Path) -> None:
     """Turns about the known axes alone, and rests too short to be detected, leave the calibration as it is; a scale
-    factor that is off by a fifth in the calibration is contradicted by gravity.
+    factor that is wrong by a fifth in the calibration is contradicted by gravity.
     """
     known = without_reference(tmp_path, 1)
     with open_log(rested(tmp_path, 1, 2.0, axes="XZ")) as log:

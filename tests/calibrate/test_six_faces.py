@@ -19,13 +19,13 @@ FACES = np.array([(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -
 
 
 def leaning(ups: Floats, degrees: float, seed: int) -> Floats:
-    """The directions (k, 3), each off by some degrees, like a box in the hand or on uneven feet."""
+    """The directions (k, 3), each tilted by some degrees, like a box in the hand or on uneven feet."""
     tilted = ups + np.radians(degrees) * np.random.default_rng(seed).normal(size=ups.shape)
     return np.asarray(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
 
 
 def calibrated(write_log: WriteLog, ups: Floats, seed: int = 1) -> TumbleResult:
-    """Calibrate an accelerometer whose axes are off by some tenths of a degree, and a gyroscope with a bias."""
+    """Calibrate an accelerometer whose axes are misaligned by some tenths of a degree, and a gyroscope with a bias."""
     angles = np.eye(3) + np.random.default_rng(seed).normal(0, np.radians(0.3), (3, 3)) * (1 - np.eye(3))
     response = SCALE[:, None] * (ideal("+Y+X-Z", PER_G) @ angles)
     parts = [

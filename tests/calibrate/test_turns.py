@@ -87,8 +87,8 @@ def test_turns_about_one_axis_do_not_determine_the_others(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_the_columns_of_two_turned_axes_are_determined(tmp_path: Path) -> None:
     """Turns about box X and Z alone: those columns to a thousandth, that of Y to the two per cent of the data sheet;
-    over six draws of a world whose gyroscopes are off by as much, the normalised error squared is chi-square with nine
-    degrees of freedom each, error rate 1e-3.
+    over six draws of a world whose gyroscopes have errors of that size, the normalised error squared is chi-square with
+    nine degrees of freedom each, error rate 1e-3.
     """
     squares, sensitivity = [], 1 / 0.00875
     for seed in range(6):
@@ -131,7 +131,8 @@ def test_turns_that_clip_are_excluded_and_named(tmp_path: Path) -> None:
 
 
 def test_rates_are_integrated_as_linear_between_readings() -> None:
-    """Against a product of fifty times as many small turns; without the coning term it would be off by 100 times more.
+    """Against a product of fifty times as many small turns; without the coning term the error would be 100 times
+    larger.
 
     Random rates of some 100 dps that change direction from reading to reading, 20 ms apart.
     """

@@ -93,7 +93,7 @@ def test_the_floor_of_a_smooth_spectrum_is_the_spectrum(rows: int, law: Any, tol
 
 
 def test_the_floor_is_the_mean_of_the_noise() -> None:
-    """Not its median, which lies 2 / 3 / freedom lower: mean over 100 columns within five standard errors."""
+    """Not its median, which is lower by 2 / 3 / freedom: mean over 100 columns within five standard errors."""
     found = spectrum(np.random.default_rng(31).normal(size=(2048, 100)))
     means = [float(noise_floor(found, column).density[:-1].mean()) for column in range(100)]
     assert abs(np.mean(means) - 2) < 5 * np.std(means) / 10 + 0.01

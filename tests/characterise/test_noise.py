@@ -97,7 +97,7 @@ def test_too_few_rows_give_no_statistics() -> None:
 def test_intervals_of_the_mean_cover(pole: float) -> None:
     """Mean +- t(31) * error covers the true mean in 95 % of 600 series, white or with a correlation of 0.8.
 
-    A chance below 1e-5 to fail if coverage lies between 93 % and 97 % (batches of 100 rows are not quite independent).
+    A chance below 1e-5 to fail if coverage is between 93 % and 97 % (batches of 100 rows are not quite independent).
     With the plain s / sqrt(n) the correlated series would be covered in 49 %.
     """
     rng = np.random.default_rng(6)

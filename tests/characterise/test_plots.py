@@ -229,7 +229,7 @@ def test_marks_of_codes(result: dict[str, Any], sensor: str, said: list[list[str
 
 
 def test_marks_state_the_share_of_clipped_readings(result: dict[str, Any]) -> None:
-    """Of a Gaussian with sigma 10, rounded, Phi(-1.45) = 7.4 % lie at or below -15, 12.5 % at or above 12."""
+    """Of a Gaussian with sigma 10, rounded, Phi(-1.45) = 7.4 % are at or below -15, 12.5 % at or above 12."""
     (low,), (high,), none = (marks(axis, LEVEL) for axis in _axes(result, "clipped"))
     assert low.endswith(" % at the low end")
     assert float(low.split()[0]) == pytest.approx(7.4, abs=0.6)

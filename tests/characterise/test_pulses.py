@@ -1,4 +1,4 @@
-"""Alignment by synchronisation pulses, on rows whose times are off by a known amount."""
+"""Alignment by synchronisation pulses, on rows whose times have a known error."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def test_a_stuck_chip_has_no_update_rate() -> None:
 
 
 @pytest.mark.parametrize("at", [0, 1, 4, 9])
-def test_the_longest_runs_of_an_axis_however_its_rows_are_split(at: int) -> None:
+def test_the_longest_runs_of_an_axis_do_not_depend_on_blocks(at: int) -> None:
     codes = np.array([7, 7, 3, 5, 5, 5, 5, 2, 2, 2])
     runs = RunTally()
     for part in (codes[:at], codes[at:]):

@@ -321,7 +321,7 @@ def test_a_filter_of_two_poles_is_identified_by_its_second_lag() -> None:
 
 def test_a_misfit_of_the_nearest_filter_widens_its_cutoff() -> None:
     """Correlations that differ from those of the filter by a twentieth of what all cutoffs of its kind change; ten
-    times as much says nothing of the cutoff.
+    times as much does not determine the cutoff.
     """
     kinds = (_Reads(200.0, 1.0),)
     expected = _filter_correlations(30.0, math.inf, kinds[0])[:, None]
@@ -593,7 +593,9 @@ def _places_mm(drawn: Mapping[str, Sequence[Effect]]) -> dict[str, Triple]:
 
 
 def test_rows_of_a_queue_are_new_readings_for_any_clock() -> None:
-    """They are not polled, so that none is older than its stamp; rows of other sensors may be, in odd replicates."""
+    """They are not polled, so that none is older than its stamp; rows of other sensors may be, in odd-numbered
+    replicates.
+    """
     base = replace(fitted_to("static"), queued=frozenset({"G1"}))
     polled = {
         name: [one.polled for one in effects if isinstance(one, OwnClock)] for name, effects in base.drawn(1).items()

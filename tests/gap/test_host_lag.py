@@ -59,15 +59,15 @@ class Swing(Still):
     """Turns to and fro about the box's x axis at a rate of 100 dps, 1.2 times a second, all the time."""
 
     def felt(self, time_ns: Integers) -> Felt:
-        """What the box feels."""
+        """The stimulus of the box."""
         rate = np.zeros((len(time_ns), 3))
         rate[:, 0] = math.radians(100) * np.sin(2 * math.pi * 1.2 * np.asarray(time_ns) * 1e-9)
         return replace(super().felt(time_ns), rate_box=rate)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.004, 0.013])
-def test_a_period_more_or_less_fits_as_well(tmp_path: Path, late_s: float) -> None:
-    """Wherever the lag lies between two rows of the grid: the lags of a periodic motion are known up to its period."""
+def test_the_lag_of_a_periodic_motion_is_not_determined(tmp_path: Path, late_s: float) -> None:
+    """For any lag between two rows of the grid: the lags of a periodic motion are known up to its period."""
     path, motion = tmp_path / "log.h5", Swing(seconds=20)
     write_log(simulation(motion, {"G1": (Skew(late_s),)}, seed=2), path)
     with open_log(path) as log:

@@ -82,8 +82,8 @@ def test_margins_of_shares() -> None:
 
 
 def test_margins_of_tails_move_three_sigma_by_a_twentieth() -> None:
-    """Those of a Pearson III of that skewness, and of Student's t of that kurtosis, whose excess is 6 / (n - 4); the
-    margins come from the first term of an expansion, good to 0.5 % here.
+    """Three-sigma limits of a Pearson III distribution of that skewness, and of Student's t of that kurtosis, whose
+    excess is 6 / (n - 4); the margins are the first term of an expansion, accurate to 0.5 % here.
     """
     beyond = norm.sf(3.0)
     assert pearson3.isf(beyond, math.sinh(margin_of("skewness"))) == pytest.approx(3 * 1.05, rel=0.005)

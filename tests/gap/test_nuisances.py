@@ -108,7 +108,7 @@ def test_without_heating_no_lag_is_fitted() -> None:
 
 
 def vibrating(amplitude_g: float, *names: str) -> tuple[float, ...]:
-    """Amplitudes along X of the ambient lines at 17 Hz fitted to ten minutes at rest in which these sensors, which lie
+    """Amplitudes along X of the ambient lines at 17 Hz fitted to ten minutes at rest in which these sensors, which are
     along X, have a line of this amplitude there.
     """
     tone, motion = Tone((amplitude_g, 0.0, 0.0), 17.0, phase_deg=30.0), Still(seconds=600)

@@ -116,7 +116,7 @@ def test_places_without_a_value_have_no_weight() -> None:
 
 
 def test_the_largest_pooled_scores_equal_those_of_single_statistics() -> None:
-    """Median and 90 % quantile of a campaign's largest score, whatever the number and the tails of pools."""
+    """Median and 90 % quantile of a campaign's largest score, for any number and tails of pools."""
     heavy = np.random.default_rng(9).standard_t(4, size=(41, len(ALL)))
     pooled = np.abs(pooled_scores(heavy, ALL).scores).max(axis=1)
     single = np.abs(heavy).max(axis=1)

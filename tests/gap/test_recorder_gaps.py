@@ -90,7 +90,7 @@ def test_a_skipped_poll_of_a_slow_chip_loses_no_reading(tmp_path: Path, chip_hz:
     ("frame_rate_hz", "flag", "lost"), [(20.0, 0, 0), (20.0, OVERRUN, 1), (20.0, LOST_BEFORE, 1), (50.0, 0, 1)]
 )
 def test_a_queue_without_overflow_loses_no_reading(tmp_path: Path, frame_rate_hz: float, flag: int, lost: int) -> None:
-    """50 rows a second in 20 frames come from a queue; a sensor that is polled once a frame lacks a row."""
+    """50 rows per second in 20 frames are from a queue; a sensor that is polled once a frame lacks a row."""
     recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 301)}, frame_rate_hz=frame_rate_hz, flag=flag)
     assert due(recording) == {"Acc": ROWS - 1 + lost, "Gyro": ROWS}
 

@@ -52,7 +52,7 @@ def test_sensors_of_a_log_share_the_course_and_logs_do_not() -> None:
 
 
 @pytest.mark.parametrize("has_temperature", [True, False])
-def test_biases_follow_it_where_no_temperature_was_recorded(has_temperature: bool) -> None:
+def test_biases_follow_the_room_without_a_recorded_temperature(has_temperature: bool) -> None:
     """The bias of a part without noise, 100 dps per degC from 25 degC on, is constant or follows the room's course."""
     bench, _ = prepared([("static", STILL)], ["G1"])
     experiments = tuple(each._replace(has_temperature=has_temperature) for each in bench.experiments)

@@ -81,7 +81,7 @@ def test_an_effect_of_all_sensors_is_one_cause() -> None:
 
 
 @pytest.mark.slow
-def test_what_all_sensors_have_is_tried_with_a_lone_sensor_too() -> None:
+def test_an_effect_of_all_sensors_is_tried_for_a_single_sensor_too() -> None:
     found = found_in(LINE)
     everywhere = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True, everywhere=True)])
     came = search_causes(found, {"tone": everywhere}, Run(found.bench))

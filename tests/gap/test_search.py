@@ -480,7 +480,7 @@ def test_a_range_limit_reached_in_one_part_only_is_tried(
     assert [trial.whole for trial in tried.alone] == [False, True][: len(numbers)]
 
 
-def test_scatter_that_a_change_narrows_by_chance_hides_nothing() -> None:
+def test_a_scatter_narrowed_by_chance_does_not_hide_a_closure() -> None:
     """A statistic at 6 standard deviations is explained, and 40 others at 1.2 scatter by half as much afterwards, or by
     twice as much, by chance: by the wider scatter these add up to less than before.
     """

@@ -126,8 +126,8 @@ def test_repeat_flags_of_a_chip_faster_than_the_polls_are_not_compared(rate_hz: 
     assert np.isfinite(value).all() == is_known
 
 
-def test_repeats_of_all_phases_together() -> None:
-    """Three of 350 rows repeat the one before; a single phase says nothing beyond its own statistic."""
+def test_the_probe_of_repeats_over_all_phases() -> None:
+    """Three of 350 rows repeat the previous row; a single phase has no value beyond its own statistic."""
     probe = PROBES["repeats_in_all"]
     assert isinstance(probe, CampaignProbe)
     ramps = [np.arange(rows) for rows in (101, 201, 51)]

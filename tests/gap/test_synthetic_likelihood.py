@@ -126,7 +126,7 @@ def test_a_rarely_present_statistic_has_no_scatter() -> None:
 @given(st.integers(1, 6), st.integers(2, 6))
 @settings(max_examples=examples(12), deadline=None)
 def test_copies_are_counted_once(copies: int, independent: int) -> None:
-    """k copies of m independent statistics, in whatever size and sign: m of k m are independent. 2000 replicates: what
+    """k copies of m independent statistics, of any size and sign: m of k m are independent. 2000 replicates: what
     chance adds scatters by less than 1 %.
     """
     random = np.random.default_rng((copies, independent))

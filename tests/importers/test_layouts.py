@@ -376,7 +376,7 @@ def test_a_header_in_a_comment_above_rows_that_hold_a_word() -> None:
     ("name", "unit"),
     [("ax_m/s^2", "m/s2"), ("ax_m/s2", "m/s2"), ("gx_rad/s", "rad/s"), ("gx_deg/s", "dps"), ("gx_°/s", "dps")],
 )
-def test_units_behind_an_underscore(name: str, unit: str) -> None:
+def test_units_after_an_underscore_are_read(name: str, unit: str) -> None:
     assert unit_in(name) == unit
 
 

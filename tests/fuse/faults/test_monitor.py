@@ -323,7 +323,7 @@ HEALTHY = (
 @pytest.mark.parametrize(("experiment", "seconds", "drive"), HEALTHY)
 def test_healthy_sensors_are_not_excluded(experiment: str, seconds: float, drive: str) -> None:
     """None in three hours: at a rate of one exclusion an hour, the chance of that is 1 in e^3 = 20. The data sheet's
-    calibration: mountings off by up to 5 degrees, scales by 3 %, and 28 degC of heating.
+    calibration: mounting errors up to 5 degrees, scale errors of 3 %, and 28 degC of heating.
     """
     for run in simulated(experiment, seconds, 25.0, 7, drive, ("range_reset",)).values():
         whole, events = watched(run.monitor(), run.frames)

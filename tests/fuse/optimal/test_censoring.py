@@ -166,7 +166,7 @@ def test_errors_agree_with_covariances_beyond_the_range_and_back() -> None:
 @pytest.mark.slow
 def test_sensors_of_one_range_are_as_accurate_as_stated_up_to_its_end() -> None:
     """Eight triads of one range, tilted by some 10 mrad, in a box whose X goes from 9 to 9.85 of 10: in the last 2 %
-    the errors are those of the mean of eight (0.05 / sqrt(8)), and as large as their covariances say.
+    the errors are those of the mean of eight (0.05 / sqrt(8)), and agree with their covariances.
     """
     rng = np.random.default_rng(25)
     tilts = np.cross(np.eye(3), rng.normal(0, 0.01, (8, 1, 3)))

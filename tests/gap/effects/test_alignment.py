@@ -78,9 +78,7 @@ def test_an_axis_within_the_population_has_no_suggested_error() -> None:
     "effect", [Scale((0.1,) * 3, spans=(0, 17.0, 1e9)), Bias((0.0, 0.0, 0.1), spans=(0, 17.0, 1e9))]
 )
 def test_a_level_change_in_a_motion_suggests_a_bias_or_a_scale(effect: Effect) -> None:
-    """The box lies with its z axis up before the motion and after it: 0.1 g of bias, or a tenth of the
-    force along z.
-    """
+    """The z axis of the box is up before and after the motion: 0.1 g of bias, or a tenth of the force along z."""
     evidence = evidence_of("motion", "A1", {"A1": (effect,)})
     trials = [
         *CANDIDATES["bias"].guesses(evidence),

@@ -31,7 +31,7 @@ def test_a_displacement_is_suggested() -> None:
 
 @pytest.mark.slow
 def test_a_displacement_from_the_configured_place_is_suggested() -> None:
-    """The sensor sits at (0, 50, -120) mm, and its header says (0, 0, -100): the others are at the origin."""
+    """The sensor is at (0, 50, -120) mm, and its header states (0, 0, -100): the others are at the origin."""
     evidence = evidence_of("motion", "A1", {"A1": (SizeEffect((0.0, 50.0, -120.0)),)}, seed=7)
     phases = []
     for phase in evidence.phases:
@@ -223,8 +223,8 @@ def test_no_exchange_or_response_is_suggested_without_one() -> None:
 def test_temporary_readings_of_another_sensor_are_suggested(
     kind: str, spans: tuple[tuple[int, float, float], ...], is_exchange: bool
 ) -> None:
-    """G1 lies at 0.5 dps, G2 at -1 dps: in two boots, from a moment on, or temporarily, G1 has the readings of G2, and
-    G2 those of G1 or its own. Biases are those of the rest of the log.
+    """G1 reads 0.5 dps, G2 -1 dps: in two boots, from a moment on, or temporarily, G1 has the readings of G2, and G2
+    those of G1 or its own. Biases are those of the rest of the log.
     """
     acting = spans_of(spans)
     effects = {"G1": (ChannelSwap("G2", spans=acting),)}

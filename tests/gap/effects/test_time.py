@@ -81,9 +81,9 @@ def test_a_clock_error_of_the_host_is_suggested() -> None:
     assert not _of_the_host(bare, at_s[:2], 0.01 * at_s[:2])
 
 
-def test_the_clock_of_the_host_beside_a_delay_that_was_fitted_without_it() -> None:
-    """Lags of t / 1000 from 5 s to 100 s, half of which are before 52.5 s: the fit has their mean, 52.5 ms, and the
-    clock makes 52.5 ms of it.
+def test_a_clock_error_of_the_host_corrects_the_fitted_delay() -> None:
+    """Lags of t / 1000 from 5 s to 100 s, half of which are before 52.5 s: the fit has their mean, 52.5 ms, which the
+    clock error explains.
     """
     bare = evidence_of("static", "A1")
     delayed = replace(bare, fitted=replace(bare.fitted, delay=SignalDelay(stamp_s=0.0525)))

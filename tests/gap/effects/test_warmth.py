@@ -49,8 +49,8 @@ def test_a_longer_lag_replaces_the_fitted_lag() -> None:
     some([(15.0, (0.0, 0.0, -0.05)), (40.0, (0.0, 0.0, -0.05)), (40.0, (-0.05, 0.03, 0.08))], 1),
 )
 def test_a_lagging_part_of_the_bias_is_suggested(time_constant_s: float, slope: tuple[float, float, float]) -> None:
-    """On one axis, or on all of them against a thermometer that does not lag: beside the slope of the element, which
-    follows the temperature at once.
+    """On one axis, or on all of them against a thermometer that does not lag: in addition to the slope of the element,
+    which follows the temperature without lag.
     """
     evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(time_constant_s, slope),)}, seed=7)
     trial = next(

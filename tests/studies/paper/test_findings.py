@@ -64,7 +64,7 @@ def half_difference(channel: str, box_axis: str) -> float:
 
 
 def angle_deg(channel: str, towards: str, own: str) -> float:
-    """Size of the angle towards a box axis of an axis that lies along the box axis `own`."""
+    """Size of the angle towards a box axis of an axis along the box axis `own`."""
     return degrees(atan2(abs(half_difference(channel, towards)), abs(half_difference(channel, own))))
 
 
@@ -127,7 +127,7 @@ PRINTED: dict[str, list[Callable[[], float]]] = {
         lambda: (noise(("BMA3", "BMA4")) / 5460 / 150e-6) ** 2,  # BMA-71
     ],
     "filter of the gyroscopes in the array": [lambda: (gyro_noise_dps() / 0.03) ** 2],  # L3G-74
-    # Table 10: BMA3 x lies along box Y and its z along box Z
+    # Table 10: BMA3 x is along box Y and its z along box Z
     "axes that lean": [lambda: angle_deg("BMA3 x", "z", "y"), lambda: angle_deg("BMA3 z", "y", "z")],
     "force on gyroscopes": [
         lambda: value(10, "Gyro3 x", "y_up") - value(10, "Gyro3 x", "y_down"),
