@@ -177,21 +177,21 @@ def test_a_chip_that_lost_its_settings_is_flagged_and_set_up_again(
 
 
 @pytest.mark.slow
-def test_a_reset_is_reported_at_the_time_of_its_detection(tmp_path: Path) -> None:
+def test_a_reset_is_reported_within_a_second(tmp_path: Path) -> None:
     array = load_array(SHIPPED)
     bench = Bench(array)
-    noticed: list[int] = []
+    reset_ns: list[int] = []
 
     def reset() -> None:
         bench.emulated.transfer(0x70, b"\x04")
         bench.emulated.transfer(0x41, b"\x10\xb6")
-        noticed.append(bench.now_ns())
+        reset_ns.append(bench.now_ns())
 
     _, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=48, seconds=4, at={2.0: reset})
     with open_log(tmp_path / "r.h5") as log:
         (event,) = [event for event in log.events if event.kind == "configuration"]
     assert event.sensor == "BMA2"
-    assert event.time_ns + start_ns - noticed[0] < 1.0 * S
+    assert event.time_ns + start_ns - reset_ns[0] < 1.0 * S
 
 
 @pytest.mark.slow

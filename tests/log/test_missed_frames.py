@@ -110,7 +110,7 @@ def test_the_count_from_rows_equals_that_of_the_logger(tmp_path: Path, rate_hz: 
     ("seconds", "rate_hz", "frames"),
     [(40, 50, 2000), (40, 9, 360), (200, 0.3, 60), (20, 0.1, 2), (0.001, 50, 1), (1.25, 1, 2), (2, 1 / 3, 1)],
 )
-def test_the_number_of_frames_of_a_recording_is_rounded(seconds: float, rate_hz: float, frames: int) -> None:
+def test_the_number_of_frames_follows_from_duration_and_rate(seconds: float, rate_hz: float, frames: int) -> None:
     assert frames_in(seconds, rate_hz) == frames
 
 
