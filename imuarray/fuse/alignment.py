@@ -149,8 +149,11 @@ class FrameGrid:
     def _times_in_pauses(self, pauses: tuple[Times, Times], rows: Times) -> Times:
         """Return the times of `rows` within pauses."""
         apart_ns = round(_APART * self.period_ns)
-        first = np.searchsorted(rows, pauses[0] + apart_ns)
-        last = np.searchsorted(rows, pauses[1] - apart_ns, "right")
+        begins, ends = pauses
+        if len(begins) == 2 and len(rows) and rows[0] > ends[0] - apart_ns and rows[-1] < begins[1] + apart_ns:
+            return rows[:0]  # the usual case: no pause, except before and after all rows
+        first = np.searchsorted(rows, begins + apart_ns)
+        last = np.searchsorted(rows, ends - apart_ns, "right")
         return np.concatenate([rows[:0], *(rows[start:stop] for start, stop in zip(first, last, strict=True))])
 
 
@@ -164,12 +167,21 @@ def choose_grid(first: Sequence[Times], groups: Sequence[Sequence[int]], where: 
     enough = [number for number, time in enumerate(first) if len(time) >= 3]
     if not enough:
         raise FusionError(f"{where[0]}: {counted(len(first[0]), 'row')}; at least three are required")
-    periods = {number: _period_ns(first[number]) for number in enough}
+    alike = _first_alike(first)
+    periods_alike = {number: _period_ns(first[number]) for number in {alike[number] for number in enough}}
+    periods = {number: periods_alike[alike[number]] for number in enough}
     usual = sorted(periods.values())[(len(periods) - 1) // 2]  # the lower median: no reading of a faster half is lost
     regular = [number for number in enough if abs(periods[number] - usual) <= _SAME_PERIOD * usual]
-    delays = {number: _delay(first[number], first, groups, usual) for number in regular}
+    delays_alike = {number: _delay(first[number], first, groups, usual) for number in {alike[k] for k in regular}}
+    delays = {number: delays_alike[alike[number]] for number in regular}
     best = sorted(regular, key=lambda number: (round(delays[number] / _TIE), number))
     return FrameGrid(tuple(best), periods[best[0]])
+
+
+def _first_alike(times: Sequence[Times]) -> list[int]:
+    """Return, for each array of times, the number of the first one that is equal: sensors that are read at once."""
+    numbers: dict[bytes, int] = {}
+    return [numbers.setdefault(time.tobytes(), number) for number, time in enumerate(times)]
 
 
 def _period_ns(time: Times) -> float:

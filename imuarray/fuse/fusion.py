@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -386,7 +387,7 @@ class _Array(Generic[_Sensor]):
             )
         self.is_optimal = technique == OPTIMAL
 
-    @property
+    @cached_property
     def axes(self) -> dict[str, list[Axis]]:
         """Axes by quantity."""
         return {quantity: axes_of(sensors, self.calibration) for quantity, sensors in self.groups.items()}
@@ -512,30 +513,30 @@ def _replay(
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}
+    rows = {sensor.name: len(sensor) for sensor in sensors}
     remaining = {sensor.name: sensor for sensor in sensors}
-    total = max(1, sum(len(sensor) for sensor in sensors))
+    total = max(1, sum(rows.values()))
     while remaining:
-        sensor = remaining[min(remaining, key=lambda name: reached_ns[name])]
-        part = _read_block(
-            sensor, slice(row[sensor.name], row[sensor.name] + block), sensor.name in stream.thermometers
-        )
-        if len(part.time):
-            reached_ns[sensor.name] = int(part.time[-1])
-            row[sensor.name] += len(part.time)
-            progress(sum(row.values()) / total)
-            yield from stream.push(sensor.name, part)
-        else:
-            del remaining[sensor.name]
-            yield from stream.end(sensor.name)
+        name = min(remaining, key=lambda name: reached_ns[name])
+        if row[name] >= rows[name]:
+            del remaining[name]
+            yield from stream.end(name)
+            continue
+        part = _read_block(remaining[name], slice(row[name], row[name] + block), name in stream.thermometers)
+        reached_ns[name] = int(part.time[-1])
+        row[name] += len(part.time)
+        progress(sum(row.values()) / total)
+        yield from stream.push(name, part)
     yield from stream.finish()
 
 
 def _read_block(sensor: SensorLog, rows: slice, with_temperature: bool) -> Block:
     """Read some rows of a sensor, with the temperature if required."""
     time, counts = np.asarray(sensor.time[rows]), np.asarray(sensor.counts[rows])
-    status, degrees = np.asarray(sensor.status[rows]), sensor.temperature_counts
+    status = np.asarray(sensor.status[rows])
     if not with_temperature:
         return Block(time, counts, status)
     if sensor.quantity == "pressure":
         return Block(time, counts, status, None, {"temperature": np.asarray(sensor.compensated("temperature")[rows])})
+    degrees = sensor.temperature_counts
     return Block(time, counts, status, None if degrees is None else np.asarray(degrees[rows]))

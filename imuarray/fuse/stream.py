@@ -41,7 +41,7 @@ from imuarray.fuse.alignment import (
     choose_grid,
 )
 from imuarray.fuse.element_temperature import TemperatureSources
-from imuarray.fuse.frames import Estimate, Frames, axes_of, directions
+from imuarray.fuse.frames import Estimate, Frames
 from imuarray.fuse.least_squares import ConstantGain, consensus, frame_gains
 from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
 from imuarray.log import Block
@@ -236,7 +236,8 @@ class FusionStream(Generic[Out]):
         """Number of the last frames that were combined directly, and not yet observed for offsets."""
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
-            self._groups[quantity] = SensorGroup(numbers, directions(axes_of(group, calibration)))
+            along = np.concatenate([self._units[number].known.directions_box for number in numbers])
+            self._groups[quantity] = SensorGroup(numbers, along)
             self._offsets[quantity] = AxisOffsets(self._groups[quantity].directions)
         self._factory = factory
         self._pipeline: Pipeline[Out] | None = None
@@ -325,14 +326,15 @@ class FusionStream(Generic[Out]):
         newest_ns = max(rows.newest_ns for rows in self._rows.values())
         known_ns = FOREVER_NS
         for name, rows in self._rows.items():
+            if rows.ended:
+                continue
             delay_ns = self._delays_ns.get(name, 0)
             reached_ns = rows.newest_ns + delay_ns
             late = newest_ns - max(reached_ns, delay_ns) > self._timeout_ns
-            if late != (name in self._silent) and not rows.ended:
+            if late != (name in self._silent):
                 self._silent ^= {name}
                 self._on_remark(f"{name}: {'silent, fused without it' if late else 'fused again'}")
-            if not rows.ended:
-                known_ns = min(known_ns, newest_ns if late else reached_ns)
+            known_ns = min(known_ns, newest_ns if late else reached_ns)
         return known_ns
 
     def _choose_grid(self, known_ns: int) -> FrameGrid | None:
