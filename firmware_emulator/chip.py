@@ -91,6 +91,11 @@ class Chip:
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Return `count` bytes from the pointer on, each with its value at the instant at which it is fetched."""
+        if count == 1:  # a setting that is read back
+            pointer = self.pointer
+            value = self.load(pointer, at_ns)
+            self.pointer = self.advance(pointer, True)
+            return bytes((value,))
         answer = []
         for _ in range(count):
             pointer = self.pointer

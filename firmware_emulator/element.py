@@ -118,6 +118,7 @@ class SensingElement:
     ) -> None:
         self.unit = unit
         self._world = world
+        self._constant: WorldStimulus | None = getattr(world, "constant", None)
         self._random = stream(seed, f"noise of {name}")
         self._noise: list[float] = []
         self._used = 0
@@ -136,7 +137,7 @@ class SensingElement:
         """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
         if (full_scale, bandwidth_hz) != self._setting:
             self._set(full_scale, bandwidth_hz)
-        stimulus = self._world(at_ns)
+        stimulus = self._constant or self._world(at_ns)
         if stimulus is not self._felt:  # the stimulus of a box at rest is the same object for a long time
             self._felt, self._ideal = stimulus, self._without_noise(stimulus)
         used = self._used
@@ -148,7 +149,8 @@ class SensingElement:
 
     def temperature(self, at_ns: int) -> float:
         """Return the temperature of the chip's own thermometer, its offset included, in degC."""
-        return self._world(at_ns).temperature_degc + self.unit.thermometer_offset_degc
+        stimulus = self._constant or self._world(at_ns)
+        return stimulus.temperature_degc + self.unit.thermometer_offset_degc
 
     def pressure(self, at_ns: int) -> float:
         """Return the air pressure in Pa, the part's offset included."""

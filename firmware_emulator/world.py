@@ -379,6 +379,11 @@ class DelayedWorld:
         """Return the stimulus of the world at `at_ns` of the clock."""
         return self._latest(at_ns - self.start_ns)
 
+    @property
+    def constant(self) -> WorldStimulus | None:
+        """Return the stimulus of a world in which it never changes; None for others."""
+        return self.world.stimulus if isinstance(self.world, StillWorld) else None
+
     @cached_property
     def _latest(self) -> World:
         """Return the world's stimulus, which all elements of a die request for the same instant."""

@@ -47,7 +47,10 @@ class Format(NamedTuple):
         """Return the six data bytes for a force in g: low byte first, clipped, never rolling over (ADX-27, ADX-46)."""
         scale, step, lowest, highest, shift = self
         x, y, z = force_g
-        x, y, z = round(x * scale / step) * step, round(y * scale / step) * step, round(z * scale / step) * step
+        if step == 1:
+            x, y, z = round(x * scale), round(y * scale), round(z * scale)
+        else:
+            x, y, z = round(x * scale / step) * step, round(y * scale / step) * step, round(z * scale / step) * step
         if not (lowest <= x <= highest and lowest <= y <= highest and lowest <= z <= highest):
             x, y, z = [max(lowest, min(highest, code)) for code in (x, y, z)]
         return WORDS.pack(x << shift, y << shift, z << shift)

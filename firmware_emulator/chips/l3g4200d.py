@@ -288,6 +288,7 @@ class L3g4200dChip(Chip):
         self._fifo.switch(mode, latest, self._codes)
         self._pack = (_BIG if facts.BIG_ENDIAN.of(self.page[_CTRL4]) else _LITTLE).pack
         self._blocking = bool(facts.BLOCK_DATA_UPDATE.of(self.page[_CTRL4]))
+        self._is_plain = self._axes == ALL_AXES and not self._fifo.active
 
     def _set_axes(self, axes: int, latest: int) -> None:
         for axis in range(3):
@@ -314,11 +315,11 @@ class L3g4200dChip(Chip):
 
     def _status(self, latest: int) -> int:
         """Return STATUS_REG: new data per axis and altogether, and the same for overwritten data (L3G-52)."""
+        x, y, z = self._read_upto
+        if self._is_plain and x == y == z:  # the usual case
+            return (0xF0 if latest > x + 1 else 0) | (0x0F if latest > x else 0)
         if self._fifo.active:
             return (0x0F if self._fifo.waiting else 0) | (0xF0 if self._fifo.level == DEPTH else 0)
-        x, y, z = self._read_upto
-        if x == y == z and self._axes == ALL_AXES:  # the usual case
-            return (0xF0 if latest > x + 1 else 0) | (0x0F if latest > x else 0)
         available = overrun = 0
         for axis in range(3):
             index = latest if self._axes >> axis & 1 else self._stopped[axis]
@@ -344,7 +345,7 @@ class L3g4200dChip(Chip):
         periods, since_ns = divmod(at_ns - self._start_ns, self._period_ns)
         if periods < 0 or since_ns + (count - 1) * byte_ns >= self._period_ns:
             return super().read(count, at_ns, byte_ns)
-        if self._half != NO_HALVES or self._axes != ALL_AXES or self._fifo.active:
+        if not self._is_plain or self._half != NO_HALVES:
             return super().read(count, at_ns, byte_ns)
         latest = self._base + 1 + periods
         codes = self._codes if latest == self._index else self._convert(latest)

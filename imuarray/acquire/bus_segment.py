@@ -63,19 +63,20 @@ class Pca9544a:
     def __init__(self, bus: Bus, address: int) -> None:
         self.bus = bus
         self.address = address
-        self._selected: int | None = None
+        self.selected: int | None = None
+        """The selected channel; None if it is not known."""
 
     def select(self, channel: int) -> None:
         """Connect `channel` if it is not connected; OSError when the multiplexer does not answer."""
-        if channel == self._selected:
+        if channel == self.selected:
             return
-        self._selected = None
+        self.selected = None
         self.bus.transfer(self.address, bytes([control_byte(channel)]))
-        self._selected = channel
+        self.selected = channel
 
     def forget(self) -> None:
         """Select the channel again before the next transaction."""
-        self._selected = None
+        self.selected = None
 
     def is_connected(self, channel: int) -> bool:
         """Return whether the control byte, read back, names `channel`; False if the multiplexer does not answer."""
@@ -105,11 +106,13 @@ class MuxChannel:
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """Transfer as `Bus.transfer`; after a failed transaction the next one selects the channel again."""
-        self.mux.select(self.number)
+        mux = self.mux
+        if mux.selected != self.number:
+            mux.select(self.number)
         try:
-            return self.mux.bus.transfer(address, write, read)
+            return mux.bus.transfer(address, write, read)
         except OSError:
-            self.mux.forget()
+            mux.forget()
             raise
 
 
@@ -306,13 +309,17 @@ class ConfigurationReadback:
         elsewhere = {(id(witness.route), witness.setting) for witness in witnesses}
         self._in_turn = [check for check in self._checks if (id(check.buffer.route), check.setting) not in elsewhere]
         self._report = report
+        self._any_wrong = False
         self._next = 0
         reads = sum(check.setting is not None for check in self._in_turn)
         self.per_frame = math.ceil(reads / frames_of(rate_hz))
 
     def due(self) -> list[_Check]:
         """Return this frame's checks: those that were wrong last time first, then the next in turn."""
-        repeated = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
+        repeated: list[_Check] = []
+        if self._any_wrong:
+            self._any_wrong = any(check.wrong for check in self._checks)
+            repeated = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
         regular: list[_Check] = []
         reads, index, count = 0, self._next, len(self._in_turn)
         for _ in range(count):
@@ -336,6 +343,7 @@ class ConfigurationReadback:
         """Note that this register was read elsewhere and is not as configured."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = max(check.wrong, 1)
+        self._any_wrong = True
 
     def run(self, check: _Check) -> None:
         """Read one register back; a failed transaction is no evidence about the register."""
@@ -370,6 +378,7 @@ class ConfigurationReadback:
 
     def _wrong(self, check: _Check, kind: str, message: str) -> None:
         check.wrong += 1
+        self._any_wrong = True
         if check.wrong == 2:
             check.buffer.distrust(check.good_rows)
             self._report(check.buffer, kind, message)
@@ -534,7 +543,7 @@ class Channel:
         registers, setting = witness.route.driver.registers, witness.setting
         try:
             register = setting.register
-            block = self._mux.bus.transfer(registers.address, bytes([register.address]), register.readback_bytes)
+            block = self._mux.bus.transfer(registers.address, register.pointer, register.readback_bytes)
             value = block[0] & setting.mask
         except OSError:
             return None

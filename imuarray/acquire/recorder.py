@@ -242,7 +242,7 @@ class Poll:
         adapter = segment.adapter
         now_ns = segment.begin()
         for buffer in segment.items:
-            if only not in (None, buffer) or not (buffer.always_due or buffer.due(now_ns)):
+            if (only is not None and only is not buffer) or not (buffer.always_due or buffer.due(now_ns)):
                 continue
             if now_ns < adapter.silent_until_ns or (adapter.removed and not segment.has_returned(buffer)):
                 self.health.lost(buffer, now_ns, None)

@@ -134,6 +134,9 @@ class Freshness:
         unrelated = doubtful | ((status & _UNRELATED) != 0)
         stale = (status & STALE) != 0
         late = np.zeros(len(times_ns), bool)
+        if len(late) and not stale.any():
+            self._fetched_ns = None if unrelated[-1] else int(times_ns[-1])
+            return late
         for row, (at_ns, is_stale, is_unrelated) in enumerate(
             zip(times_ns.tolist(), stale.tolist(), unrelated.tolist(), strict=True)
         ):

@@ -33,7 +33,7 @@ class Registers:
 
     def peek(self, register: Register, count: int = 1) -> bytes:
         """Read `count` bytes from `register` on, in one transaction."""
-        return self.bus.transfer(self.address, bytes([register.address]), count)
+        return self.bus.transfer(self.address, register.pointer, count)
 
     def read_back(self, register: Register) -> int:
         """Read a register without affecting the measurement."""

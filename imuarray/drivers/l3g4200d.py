@@ -23,6 +23,7 @@ from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import OVERRUN, STALE
 
 _COUNT_ON = 0x80  # sub-address bit 7: L3G-03
+_FROM_TEMPERATURE = bytes([facts.OUT_TEMP.address | _COUNT_ON])
 _RATE_CODES = {100.0: 0b00, 200.0: 0b01, 400.0: 0b10, 800.0: 0b11}  # L3G-30 ... L3G-33
 _RANGE_CODES = {250.0: 0b00, 500.0: 0b01, 2000.0: 0b10}  # L3G-40 ... L3G-42
 _BYPASS, _STREAM = 0b000, 0b010  # L3G-20
@@ -112,7 +113,7 @@ class L3g4200d(ChipDriver):
 
     def fetch(self) -> bytes:
         """Read 0x26 ... 0x2D with auto-increment: temperature, status, x, y, z."""
-        return self._read(facts.OUT_TEMP, self.burst)
+        return self.registers.bus.transfer(self.registers.address, _FROM_TEMPERATURE, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, low byte first; the temperature decreases by one count per degC (L3G-60).

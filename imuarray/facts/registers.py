@@ -75,6 +75,11 @@ class Register:
     readback_bytes: int = 1
     bank: int = 0
 
+    @cached_property
+    def pointer(self) -> bytes:
+        """Return the address as the byte that begins a transaction."""
+        return bytes([self.address])
+
     def __getitem__(self, bits: int | slice) -> Field:
         """``REGISTER[5]`` or ``REGISTER[7:4]``, written as the data sheets write bits: high, low, both included."""
         high, low = (bits.start, bits.stop) if isinstance(bits, slice) else (bits, bits)
