@@ -1,5 +1,5 @@
-/* Passes over frames that `imuarray.fuse.alignment` and `imuarray.fuse.least_squares` also do with NumPy: the readings of a
-   sensor on the grid, the consensus of the sensors, splines between frames, the removal of the motion since a frame, and
+/* Passes over frames that `imuarray.fuse.alignment` and `imuarray.fuse.least_squares` also do with NumPy: triads by a
+   constant gain, the readings of a sensor on the grid, the consensus of the sensors, splines between frames, the removal of the motion since a frame, and
    covariances. NumPy writes and reads an array for each step of them; here the intermediate results of a few frames stay
    in the cache. The Python code explains every step. The results are the same to rounding, of readings and of splines to
    the bit. */
@@ -20,6 +20,60 @@
 #else
 #define INLINE static inline
 #endif
+
+/* Triads (3, n) = gain (3, m) @ counts (m, n) less `of_bias` (3); `gain` is stored (m, 4), with a zero after each column, and
+   the counts in `parts` arrays (n, width) of the sensors. */
+CLONES static void combine(const int16_t *const *counts, const Py_ssize_t *widths, Py_ssize_t parts, const double *gain,
+                           const double *of_bias, double *into, Py_ssize_t n) {
+    for (Py_ssize_t first = 0; first < n; first += TILE) {
+        const Py_ssize_t count = n - first < TILE ? n - first : TILE;
+        double sums[TILE][4];
+        memset(sums, 0, sizeof sums);
+        const double *factors = gain;
+        for (Py_ssize_t part = 0; part < parts; part++) {
+            const Py_ssize_t width = widths[part];
+            const int16_t *row = counts[part] + first * width;
+            for (Py_ssize_t f = 0; f < count; f++, row += width) {
+                double sum[4];
+                memcpy(sum, sums[f], sizeof sum);
+                for (Py_ssize_t axis = 0; axis < width; axis++) {
+                    const double reading = row[axis];
+                    for (int i = 0; i < 4; i++) sum[i] += reading * factors[4 * axis + i];
+                }
+                memcpy(sums[f], sum, sizeof sum);
+            }
+            factors += 4 * width;
+        }
+        for (int i = 0; i < 3; i++)
+            for (Py_ssize_t f = 0; f < count; f++) into[i * n + first + f] = sums[f][i] - of_bias[i];
+    }
+}
+
+static PyObject *triads(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence, *given;
+    Py_ssize_t n, axes = 0, widths[MOST], bytes[MOST + 3];
+    if (!PyArg_ParseTuple(args, "O!O!n", &PyTuple_Type, &sequence, &PyTuple_Type, &given, &n)) return NULL;
+    const Py_ssize_t parts = PyTuple_Size(given);
+    if (!sizes_allowed(parts > 0 && parts <= MOST && n >= 0)) return NULL;
+    for (Py_ssize_t part = 0; part < parts; part++) {
+        widths[part] = PyLong_AsSsize_t(PyTuple_GetItem(given, part));
+        if (PyErr_Occurred() || !sizes_allowed(widths[part] > 0 && widths[part] <= MOST)) return NULL;
+        bytes[part] = 2 * n * widths[part];
+        axes += widths[part];
+    }
+    bytes[parts] = DOUBLES(4 * axes);
+    bytes[parts + 1] = DOUBLES(3);
+    bytes[parts + 2] = DOUBLES(3 * n);
+    Py_buffer views[MOST + 3];
+    Py_ssize_t held = hold(sequence, views, parts + 3, bytes, parts + 2);
+    if (!PyErr_Occurred()) {
+        const int16_t *counts[MOST];
+        for (Py_ssize_t part = 0; part < parts; part++) counts[part] = views[part].buf;
+        combine(counts, widths, parts, views[parts].buf, views[parts + 1].buf, views[parts + 2].buf, n);
+    }
+    return released(views, held);
+}
 
 /* The reading nearest to each frame of the increasing `grid`, within half a frame: the sum of 1 if one of them has a
    `special` flag, and of 2 if two frames have the same valid reading. */
@@ -453,6 +507,7 @@ static PyObject *covariances(PyObject *module, PyObject *args) {
 }
 
 static PyMethodDef methods[] = {
+    {"triads", triads, METH_VARARGS, "triads(arrays, widths, frames): a constant gain times counts, less a constant."},
     {"readings", readings, METH_VARARGS, "readings(arrays, sizes, half_ns, age_ns, flags): a sensor on the grid."},
     {"consensus", consensus, METH_VARARGS, "consensus(arrays, sizes, tolerated): the robust mean of the sensors."},
     {"motion", motion, METH_VARARGS, "motion(arrays, sizes, share): remove the motion since a frame from its readings."},

@@ -2,6 +2,7 @@ from typing import Any
 
 import numpy.typing as npt
 
+def triads(arrays: tuple[npt.NDArray[Any], ...], widths: tuple[int, ...], frames: int) -> None: ...
 def readings(
     arrays: tuple[npt.NDArray[Any], ...],
     sizes: tuple[int, int],

@@ -4,6 +4,7 @@ and for arrays that they don't handle: callers then do the same with NumPy, to r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,18 @@ else:
     COMPILED = True
 
 _MOST_AXES = 96
+
+
+def combined(counts: Sequence[npt.NDArray[Any]], gain: Floats, of_bias: Floats) -> Floats | None:
+    """Return ``gain @ counts - of_bias`` (3, n) of arrays of counts (n, k) with m columns in total; `gain` is (m, 4),
+    the last column zero, `of_bias` (3,). None without compiled code, and for counts that are not int16.
+    """
+    widths = tuple(part.shape[1] for part in counts)
+    if not COMPILED or max(len(widths), *widths) > _MOST_AXES or any(part.dtype != np.int16 for part in counts):
+        return None
+    result = np.empty((3, len(counts[0])))
+    _frames.triads((*(np.ascontiguousarray(part) for part in counts), gain, of_bias, result), widths, result.shape[1])
+    return result
 
 
 class Readings(NamedTuple):

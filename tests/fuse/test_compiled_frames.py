@@ -11,7 +11,7 @@ from imuarray.calibrate import SensorCalibration
 from imuarray.fuse import compiled_frames, fuse
 from imuarray.fuse.alignment import AlignedSensor, _delay_noise, align, between_gaps, derivatives
 from imuarray.fuse.frames import Axis, CalibrationErrors
-from imuarray.fuse.least_squares import TOLERATED_SI, SlowErrors, consensus
+from imuarray.fuse.least_squares import TOLERATED_SI, ConstantGain, SlowErrors, consensus
 from imuarray.log import Block, open_log
 from imuarray.log.format import STALE, SUSPECT
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, pointing
@@ -119,6 +119,31 @@ def test_compiled_nearest_readings_equal_numpy(jitter_ns: int, monkeypatch: pyte
     np.testing.assert_allclose(result.values, wanted.values, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("frames", [0, 1, 32, 77])
+@pytest.mark.parametrize("widths", [(3,), (3, 3, 3), (4, 1, 7)])
+def test_a_constant_gain_is_that_of_numpy(
+    widths: tuple[int, ...], frames: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of counts to the ends of their range; those of another type are NumPy's."""
+    rng = np.random.default_rng(frames)
+    counts = [rng.integers(-32768, 32768, (frames, width)).astype(np.int16) for width in widths]
+    gain = ConstantGain(rng.normal(size=(3, sum(widths))), rng.normal(0, 50, sum(widths)))
+    result, wide = gain(counts), gain([part.astype(np.int32) for part in counts])
+    leave_out(monkeypatch)
+    wanted = gain(counts)
+    np.testing.assert_array_equal(wide, wanted)
+    np.testing.assert_allclose(result, wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max(initial=0.0))
+
+
+def test_a_constant_gain_of_whole_numbers_is_exact() -> None:
+    """2 x - y + 3 z - 5 and x - 1, of sums that no rounding changes."""
+    counts = np.array([[-32768, 32767, 5], [1, 2, 3], [0, 0, 32767]], np.int16)
+    gain = np.array([[2.0, -1.0, 3.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    triads = ConstantGain(gain, np.array([1.0, 0.0, 1.0]))([counts[:, :1], counts[:, 1:]])
+    x, y, z = counts.astype(int).T
+    np.testing.assert_array_equal(triads, np.stack([2 * x - y + 3 * z - 5, x - 1, 0 * x], axis=1))
+
+
 @pytest.mark.parametrize("rows", [4, 5, 200])
 def test_a_compiled_spline_equals_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(rows)
@@ -153,6 +178,14 @@ def test_arrays_of_other_sizes_are_refused() -> None:
     from imuarray.fuse import _frames
 
     numbers = np.zeros(12)
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.triads((numbers,) * 4, (), 2)
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.triads((numbers,) * 4, (0,), 2)
+    with pytest.raises(ValueError, match="number of arrays"):
+        _frames.triads((numbers,) * 3, (3,), 2)
+    with pytest.raises(ValueError, match="array 0: 12 bytes"):
+        _frames.triads((numbers,) * 4, (3,), 2)
     with pytest.raises(ValueError, match="number of arrays"):
         _frames.consensus((numbers,), (3, 4), 1.0)
     with pytest.raises(ValueError, match="array 1: 72 bytes"):
