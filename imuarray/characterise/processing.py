@@ -21,7 +21,7 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.log import SensorLog
-from imuarray.log.format import ASSUMED, RESOLUTION
+from imuarray.log.format import ASSUMED, RESOLUTION, SATURATED
 from imuarray.series import true_runs
 
 FEWEST_ROWS = 2000
@@ -102,7 +102,7 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
         return
     values, rate_hz = _middle_rows(sensor)
     most = _LEAST_MOTION.get(sensor.unit, 0.0) * sensor.sensitivity
-    windows, rest = _windows(values, most), _longest_rest(values, most)
+    windows, rest = _windows(values, most, _clipped_rows(sensor)), _longest_rest(values, most)
     is_seen = len(windows) >= FEWEST_WINDOWS
     if is_seen and (share := _share_of_held_axes(windows)):
         yield (
@@ -133,10 +133,21 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
         )
 
 
+def _middle(sensor: SensorLog) -> tuple[int, int]:
+    """Return the first row of the middle of a recording, and its number of rows."""
+    rows = min(len(sensor), _MOST_ROWS)
+    return (len(sensor) - rows) // 2, rows
+
+
+def _clipped_rows(sensor: SensorLog) -> Booleans:
+    """Return which rows (n,) of the middle of a recording are flagged as saturated: their codes repeat."""
+    first, rows = _middle(sensor)
+    return np.asarray((np.asarray(sensor.status[first : first + rows]) & SATURATED) != 0)
+
+
 def _middle_rows(sensor: SensorLog) -> tuple[Floats, float]:
     """Return the counts (n, 3) of the middle of a recording, and its rate."""
-    rows = min(len(sensor), _MOST_ROWS)
-    first = (len(sensor) - rows) // 2
+    first, rows = _middle(sensor)
     seconds = (int(sensor.time[first + rows - 1]) - int(sensor.time[first])) * 1e-9
     return np.asarray(sensor.counts[first : first + rows], float), (rows - 1) / seconds if seconds > 0 else 0.0
 
@@ -155,10 +166,13 @@ def _share_of_held_axes(windows: Floats) -> float:
     return float(shares.mean())
 
 
-def _windows(values: Floats, most: float) -> Floats:
-    """Return the windows at rest (w, rows, 3): the quietest, which scatter by less than `most`."""
+def _windows(values: Floats, most: float, clipped: Booleans) -> Floats:
+    """Return the windows at rest (w, rows, 3) without `clipped` rows (n,): the quietest, which scatter by less than
+    `most`.
+    """
     windows, is_still = _still_windows(values, most)
-    return np.asarray(windows[is_still])
+    is_clipped = clipped[: len(windows) * _WINDOW_ROWS].reshape(len(windows), _WINDOW_ROWS).any(axis=1)
+    return np.asarray(windows[is_still & ~is_clipped])
 
 
 def _longest_rest(values: Floats, most: float) -> Floats:

@@ -45,7 +45,7 @@ from imuarray.importers.triad_behaviour import (
     keeps_its_length,
     triads_by_values,
 )
-from imuarray.printable import listed
+from imuarray.printable import counted, listed
 from imuarray.units import UNITS_OF
 
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
@@ -147,7 +147,7 @@ def propose_columns(
     if time is None:
         proposal.time.append(rate_line(proposal))
         if layout.rate_hz is None:
-            proposal.doubts.append("no column increases like time: 100 rows a second are assumed")
+            proposal.doubts.append(f"{_no_time(names, columns)}: 100 rows a second are assumed")
     else:
         proposal.time += time_lines(names, columns, time, dates, proposal)
     force_unit = ""
@@ -175,6 +175,19 @@ def propose_columns(
     triad_columns = {index for _, indices in triads for index in indices}
     proposal.doubts += _incomplete_triads(names[: len(columns)], taken | triad_columns)
     return proposal
+
+
+def _no_time(names: Sequence[str], columns: Sequence[Floats]) -> str:
+    """Return that no column is the time, or what is wrong with one that is called so."""
+    for name, values in zip(names, columns, strict=False):
+        finite = values[np.isfinite(values)]
+        if TIME.search(name) and len(finite):
+            different = counted(len(np.unique(finite)), "value")
+            return (
+                f"column {name!r} has {different} in {counted(len(finite), 'row')}, the first {finite[0]:.9g}, and no"
+                " row has a time of its own; if a spreadsheet or single precision rounded it, export it again"
+            )
+    return "no column increases like time"
 
 
 _AXIS = re.compile(r"(?<![A-Za-z])[A-Za-z]?[xyz](?![A-Za-z])|(?<![A-Z])[XYZ](?![A-Za-z])")

@@ -29,6 +29,7 @@ from imuarray.importers.cells import (
 )
 from imuarray.importers.mapping import ISO
 from imuarray.importers.plausibility import RATES_HZ
+from imuarray.printable import counted
 
 LOOKED_AT_ROWS = 20_000
 """Number of rows from which the columns are inferred."""
@@ -102,7 +103,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         layout.decimal = ","
     numeric = [_is_of_numbers(row, layout) for _, row in rows]
     if not any(numeric):
-        raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
+        raise SourceError(f"{path}: no row of numbers in its first {counted(len(whole), 'line')}")
     first = _first_of_table(rows, numeric, layout)
     begin = numeric.index(True) if first is None else first
     is_described = any(line.startswith("FMT,") for _, line in lines)
@@ -123,7 +124,8 @@ def _first_lines(path: Path) -> list[str]:
     """Return the first lines of a text, whole ones; SourceError."""
     with open_source(path, path.with_suffix(".guess")) as file:
         data = decompress(file).read(_HEAD_BYTES)
-    lines = data.decode("utf-16" if is_utf16(data) else "utf-8-sig", WINDOWS_1252).split("\n")
+    text = data.decode("utf-16" if is_utf16(data) else "utf-8-sig", WINDOWS_1252)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if len(data) == _HEAD_BYTES else lines
 
 

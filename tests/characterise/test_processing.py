@@ -9,13 +9,13 @@ import pytest
 from scipy.ndimage import median_filter
 from scipy.signal import butter, filtfilt, lfilter
 
-from imuarray.characterise.processing import find_processing
+from imuarray.characterise.processing import find_filters, find_processing
 from imuarray.errors import LogError
 from imuarray.gap.recording.recordings import recordings_of
 from imuarray.importers.plausibility import report_of
 from imuarray.importers.table import import_table
-from imuarray.log import open_log
-from imuarray.log.format import ASSUMED, DIGITS, RESOLUTION
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import ASSUMED, DIGITS, RESOLUTION, SATURATED, SensorHeader
 from tests.selection import some
 
 ROWS, RATE_HZ, PER_G, PER_DPS = 6000, 100.0, 16384.0, 131.0
@@ -154,3 +154,18 @@ def test_the_log_states_whether_counts_are_codes(name: str, wanted: str | None, 
     with open_log(imported(RAW[name], tmp_path)) as log:
         assert log["Gyro"].attributes.get(RESOLUTION) == wanted
         assert log["Gyro"].sensitivity == pytest.approx(per_dps, rel=1e-3)
+
+
+def test_readings_that_are_clipped_are_not_called_filtered(tmp_path: Path) -> None:
+    """Half of the readings at rest are at the end of the range: runs of equal codes on single axes, no median."""
+    noise = np.random.default_rng(4).normal(0, 20, (2000, 3))
+    counts = np.minimum(np.rint(noise), 0).astype(np.int16)
+    header = SensorHeader("Acc", "any", "specific_force", "g", 2.0, 1000.0)
+    said = []
+    for status in (0, SATURATED):
+        with LogWriter(tmp_path / f"{status}.h5", [header], source="imported", epoch="2026-01-01T00:00:00Z") as log:
+            flags = np.where((counts == 0).any(axis=1), status, 0).astype(np.uint16)
+            log.append("Acc", Block(np.arange(2000) * 10_000_000, counts, flags))
+        with open_log(tmp_path / f"{status}.h5") as log:
+            said.append([text for text in find_filters(log["Acc"]) if "single axes" in text])
+    assert [len(texts) for texts in said] == [1, 0]

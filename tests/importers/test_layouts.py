@@ -18,7 +18,7 @@ from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import FileTable
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.table import import_table
-from imuarray.importers.text_layout import TextLayout
+from imuarray.importers.text_layout import TextLayout, read_text
 from imuarray.log import open_log
 from tests.importers.recordings import PER_DPS, PER_G, ROWS, G, counts_of, joined, lines_of, walk
 
@@ -385,3 +385,18 @@ def test_a_sensor_with_a_column_of_two_axes_only_is_named() -> None:
     columns = [np.arange(40.0), *np.tile([0.01, 0.02, 1.0, 3.0, 4.0, 5.0], (40, 1)).T]
     doubts = propose_columns(TextLayout(), names, columns, {}).doubts
     assert doubts == ['left out: "gx_dps", "gz_dps": no column of axis y; a sensor needs three axes']
+
+
+def test_lines_that_end_with_a_carriage_return_alone(tmp_path: Path) -> None:
+    path = written(tmp_path, b"t,ax,ay,az\r0,0,0,1\r1,0,0,1\r")
+    _, names, rows = read_text(path)
+    assert names == ["t", "ax", "ay", "az"]
+    assert rows == [["0", "0", "0", "1"], ["1", "0", "0", "1"]]
+
+
+def test_a_time_that_a_spreadsheet_rounded_is_named() -> None:
+    names = ["timestamp", "ax_g", "ay_g", "az_g"]
+    columns = [np.full(40, 1.7e12), *np.tile([0.01, 0.02, 1.0], (40, 1)).T]
+    (doubt,) = propose_columns(TextLayout(), names, columns, {}).doubts
+    assert doubt.startswith("column 'timestamp' has 1 value in 40 rows, the first 1.7e+12, and no row has a time")
+    assert doubt.endswith("100 rows a second are assumed")
