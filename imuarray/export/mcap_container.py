@@ -124,13 +124,18 @@ class Container:
             )
         )
         index_start, places = self._file.tell(), {}
-        for channel in np.unique(channels).tolist():
-            of_channel = channels == channel
-            entries = np.stack([time_ns[of_channel], offsets[of_channel]], axis=1).astype("<u8").tobytes()
+        by_channel = np.argsort(channels.astype(np.uint16), kind="stable")  # a radix sort: MCAP's numbers have 16 bits
+        all_entries = np.empty((len(channels), 2), "<u8")
+        all_entries[:, 0], all_entries[:, 1] = time_ns[by_channel], offsets[by_channel]
+        counts, ended = np.bincount(channels), 0
+        for channel in np.flatnonzero(counts).tolist():
+            count = int(counts[channel])
+            entries = all_entries[ended : ended + count].tobytes()
+            ended += count
             places[channel] = self._file.tell()
             self._file.write(_INDEX_HEAD.pack(int(Opcode.MESSAGE_INDEX), 6 + len(entries), channel, len(entries)))
             self._file.write(entries)
-            self._counts[channel] = self._counts.get(channel, 0) + int(of_channel.sum())
+            self._counts[channel] = self._counts.get(channel, 0) + count
         packed = length - (_BEFORE_LENGTH + 40 + len(_COMPRESSION))  # less the other fields of a chunk
         self._first_ns = min(self._first_ns, first_ns) if self._chunks else first_ns
         self._last_ns = max(self._last_ns, last_ns)
