@@ -8,7 +8,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import gc
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from itertools import groupby
 from pathlib import Path
 
 if sys.dont_write_bytecode:  # as in many containers: every start of the program would compile all its modules
@@ -19,6 +20,11 @@ if sys.dont_write_bytecode:  # as in many containers: every start of the program
 
 import pytest
 from hypothesis import settings
+
+# Garbage is collected seldom: the syntax trees of test files and thousands of collected tests, none of which is freed
+# before the end, would be examined each time. They are not frozen, since Hypothesis looks for referrers of its random
+# numbers, which would hide them.
+gc.set_threshold(100_000, 20, 50)
 
 # The time of an example depends on the machine.  The examples are the same every time, so that what passed
 # passes again; `pytest --hypothesis-profile explore` draws others.  The quick half draws few, .ci/run all ("full").
@@ -53,20 +59,37 @@ LONGEST = (
 """Files of one or more minutes. Two workers begin with two each, so that the two guests do not run side by side."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+HERE = Path(__file__).parent
+
+
+def _begins_at_the_end(config: pytest.Config) -> bool:
+    """Return whether this is the second, fourth, ... of several workers; False if more than one place is tested."""
+    worker = int(getattr(config, "workerinput", {"workerid": "gw0"})["workerid"][2:])
+    return worker % 2 == 1 and len(config.args) == 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Let every other worker collect the folders from the last to the first. In a new checkout all files have to be
+    compiled with their assertions; each is then compiled by the worker that comes to it first, not by both.
+    """
+    report = yield
+    if collector.path == HERE and _begins_at_the_end(collector.config):
+        report.result.reverse()
+    return report
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Put the longest files first: a worker that began one of them last would be waited for by all others. The workers
     keep to this order with `--no-loadscope-reorder`.
     """
+    if _begins_at_the_end(config):  # all workers must have the same order
+        folders = [list(group) for _, group in groupby(items, lambda item: item.path.relative_to(HERE).parts[0])]
+        items[:] = [item for group in reversed(folders) for item in group]
     places = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.nodeid.split("::")[0], len(places)))
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_collection_finish() -> None:
-    """Collect garbage seldom: thousands of collected tests, none of which is freed before the end, are examined each
-    time. They are not frozen, since Hypothesis looks for referrers of its random numbers, which would hide them.
-    """
-    gc.set_threshold(100_000, 20, 50)
 
 
 @pytest.fixture(scope="session", autouse=True)
