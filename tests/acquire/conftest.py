@@ -58,7 +58,7 @@ class Tapped:
         pass
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def an_array() -> Callable[..., ArrayConfig]:
     """``an_array(A=0, B=1, G=None)``: these sensors on these channels (None: on the trunk), named after their kind."""
 
@@ -73,7 +73,7 @@ def an_array() -> Callable[..., ArrayConfig]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def tapped() -> Callable[..., Tapped]:
     """``tapped(array, "world=tumble", fails)``: the emulated bus of `array`."""
 

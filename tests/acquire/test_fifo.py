@@ -83,6 +83,7 @@ def test_a_chip_without_a_queue_is_refused() -> None:
         parse_array('[array]\nname="x"\n[[sensor]]\nname="A"\nchip="bma180"\naddress=0x40\nrange=2\nfifo=true\n')
 
 
+@pytest.mark.slow
 def test_a_polled_chip_overruns_only_where_every_sample_was_meant_to_be_read(tmp_path: Path) -> None:
     """100 Hz polled at 250: nothing is lost. Polled at 40: two of three samples pass unread, as they are meant to."""
     array = parse_array('[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=100\n')

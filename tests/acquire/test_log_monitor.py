@@ -64,6 +64,7 @@ def test_the_page_shows_the_log_that_is_recorded(log: Call, pages: list[list[str
         assert recorded.state == "finished"
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_first_part_and_the_fused_file(log: Call, pages: list[list[str]]) -> None:
     options = ["--monitor", "--monitor-port", "0", "--monitor-host", "0.0.0.0", "--rotate", "30s", "--fuse"]  # noqa: S104
     assert log(*options, "--fused", "out.h5")[0] == 0

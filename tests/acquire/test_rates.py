@@ -161,6 +161,7 @@ def test_no_row_waits_longer_than_the_limit(
     assert set(summary.lost.values()) == {0}
 
 
+@pytest.mark.slow
 def test_a_frozen_chip_is_reported_at_one_frame_in_five_seconds(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:

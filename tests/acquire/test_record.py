@@ -138,15 +138,18 @@ def silence(address: int, start_ms: float, end_ms: float) -> Callable[[Any], boo
 class TestLostReadings:
     """A BMA180 that is silent from 100 ms to 200 ms, in a box that is shaken all the time."""
 
-    @pytest.fixture
-    def lost(self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> Any:
+    @pytest.fixture(scope="class")
+    def lost(
+        self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+    ) -> Any:
+        path = tmp_path_factory.mktemp("lost") / "r.h5"
         array = an_array(A=0, B=1)
         bus = tapped(array, "world=shaking&still_s=0.1&motion_s=60&peak_g=0.6", silence(0x40, 100, 200))
         bus.clock.sleep_until(1500 * MS)
         connect(array, bus)
         bus.clock.sleep_until(2000 * MS - 300 * MS)
-        done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1)
-        return done, bus, tmp_path / "r.h5"
+        done = record(array, bus, path, rate_hz=100, seconds=1)
+        return done, bus, path
 
     def test_a_silent_sensor_has_no_rows(self, lost: Any) -> None:
         done, bus, path = lost
@@ -208,6 +211,7 @@ def test_a_reading_that_fails_once_is_repeated_and_not_lost(
     assert not (status & LOST).any()
 
 
+@pytest.mark.slow
 def test_a_silent_mux_loses_the_readings_of_its_channels_until_it_answers(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -226,6 +230,7 @@ def test_a_silent_mux_loses_the_readings_of_its_channels_until_it_answers(
         assert sorted(event.sensor for event in log.events) == ["A", "A", "B", "B"]
 
 
+@pytest.mark.slow
 def test_a_lost_reading_of_the_barometer_is_flagged_and_counted(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -75,6 +75,7 @@ def test_a_sensor_that_was_only_silent_is_not_set_up_again(faulty_recording: Cal
         assert len(status) + done.lost["B"] == done.frames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("for_s", some([0.08, 0.2, 0.7, 3.0, 20.0], 1))
 def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(
     faulty_recording: Callable[..., Any], for_s: float
@@ -125,6 +126,7 @@ def test_a_permanently_frozen_sensor_is_set_up_at_increasing_intervals(faulty_re
         assert not np.asarray(log["A"].status).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frames", "messages"),
     some(
@@ -198,6 +200,7 @@ def test_an_address_of_a_kernel_driver_is_refused_at_the_start(faulty_recording:
         faulty_recording('[[fault]]\nkind="kernel_driver"\nsensor="B"\nfor_s=1\n', 1, A=0, B=1)
 
 
+@pytest.mark.slow
 def test_missed_frames_are_lost_readings_of_polled_sensors(faulty_recording: Callable[..., Any]) -> None:
     done, log = faulty_recording('[[fault]]\nkind="stall"\nat_s=3.0\nfor_s=0.1\n', 4, A=0, B=1)
     with log:
@@ -209,6 +212,7 @@ def test_missed_frames_are_lost_readings_of_polled_sensors(faulty_recording: Cal
             assert time[after] - time[after - 2] > 100 * MS  # the reading in the midst of it has an uncertain time
 
 
+@pytest.mark.slow
 def test_a_sensor_that_repeatedly_starts_in_another_state_stays_suspect(faulty_recording: Callable[..., Any]) -> None:
     def judge(readings: Any) -> dict[str, StateVerdict]:
         return {"G": StateVerdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}

@@ -236,6 +236,7 @@ def test_the_stream_restarts_after_the_port_is_unplugged_and_plugged_in(
     assert summary.frames == 800
 
 
+@pytest.mark.slow
 def test_a_recording_ends_also_when_the_port_stays_unplugged(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
@@ -252,6 +253,7 @@ def test_a_recording_ends_also_when_the_port_stays_unplugged(
     assert noted_s[0] == pytest.approx(2.0, abs=0.1)  # counted from the epoch of the log, as rows are
 
 
+@pytest.mark.slow
 def test_unplugging_after_the_last_frame_loses_nothing(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -267,6 +269,7 @@ def test_unplugging_after_the_last_frame_loses_nothing(
     assert len(logged(tmp_path / "r.h5", "A")[0]) == 400
 
 
+@pytest.mark.slow
 def test_readings_missed_until_a_stop_while_unplugged_are_counted(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
@@ -279,6 +282,7 @@ def test_readings_missed_until_a_stop_while_unplugged_are_counted(
     assert summary.frames == pytest.approx(700, abs=40)  # a stop is checked at intervals
 
 
+@pytest.mark.slow
 def test_readings_missed_until_a_stop_shortly_after_unplugging_are_counted(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:

@@ -464,6 +464,7 @@ def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, r
         assert len(str(refused).splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_stopped_log_replays_to_its_end_with_its_own_times(tmp_path: Path) -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\n')
     start, frames = datetime(2026, 3, 1, 12, tzinfo=UTC), iter([False] * 37 + [True] * 9)

@@ -81,6 +81,7 @@ def test_tumble_of_unnamed_poses(write_log: WriteLog, tmp_path: Path, capsys: py
         assert row["bias_lsb"] == pytest.approx(part.bias + pull, abs=6.0)
 
 
+@pytest.mark.slow
 def test_tumble_reports_gyroscopes_residuals_and_excluded_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -129,6 +130,7 @@ def test_an_existing_output_is_not_overwritten(run: Path, tmp_path: Path, capsys
     assert "A1" in load_calibration(output).sensors
 
 
+@pytest.mark.slow
 def test_update_adds_to_an_existing_calibration(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "cal.toml"
     assert main(["calibrate", "tumble", str(run), "-o", str(output), "--update"]) == 0

@@ -38,6 +38,7 @@ def knocks_of(log: Log) -> str:
     return knock_sentence(find_knocks(rest_windows(log)), "mg", 1e3)
 
 
+@pytest.mark.slow
 def test_knocks_do_not_split_a_rest_and_are_excluded(tmp_path: Path) -> None:
     with open_log(record(tmp_path / "run.h5", knocked(*KNOCKS_S), 1, seconds=100.0, noise_g=0.002)) as log:
         rest = longest_rest(log)

@@ -87,6 +87,7 @@ def test_runs_of_several_poses_are_refused_and_named(tmp_path: Path) -> None:
         log.close()
 
 
+@pytest.mark.slow
 def test_a_turn_on_change_too_uncertain_to_determine_is_refused(tmp_path: Path) -> None:
     """Three runs of a tenth of a second that scatter by 0.09 g: less than motion, far more than the required error."""
     logs = [open_log(record(tmp_path / f"{i}.h5", resting, i, seconds=0.1, noise_g=0.09)) for i in range(3)]

@@ -64,6 +64,7 @@ def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
     assert low < np.mean(squares) < high
 
 
+@pytest.mark.slow
 def test_turns_about_one_axis_do_not_determine_the_others(tmp_path: Path) -> None:
     """Ten poses on a cone determine the accelerometers' parameters, but every turn is about one box axis: its column is
     known by the turns, the others within the data sheet's tolerance.

@@ -103,6 +103,7 @@ def test_the_offset_of_a_sensor_read_later_in_each_frame(tmp_path: Path) -> None
     assert sensors["B"].delay_s == pytest.approx(0.0, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_a_log_at_rest_gives_no_delay(tmp_path: Path) -> None:
     time_ns, counts = rows(1, 200.0, 0.0, 0.0)
     quiet = np.random.default_rng(3).normal(0.0, 5.0, counts.shape).round().astype(np.int32)

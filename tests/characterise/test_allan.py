@@ -244,6 +244,7 @@ def test_octaves_end_at_a_third_of_the_rows() -> None:
     assert octaves(48) == (1, 2, 4, 8, 16)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     lengths=st.lists(st.integers(9, 40), min_size=2, max_size=6),

@@ -58,6 +58,7 @@ def test_line_and_correlation_of_the_papers_gyroscope(characterised: Characteris
     assert "G x, z: neighbouring readings correlate by 0.41" in told
 
 
+@pytest.mark.slow
 def test_mains_lines_are_named_with_their_alias(characterised: Characterise) -> None:
     """50.02 Hz at 76.93 Hz appears at 26.91 Hz, and 60 Hz at 350 Hz at 60 Hz; a line at 21 Hz is neither."""
     hum = ("tone", {"amplitude": (0.0, 0.05, 0.0), "frequency_hz": 50.02})

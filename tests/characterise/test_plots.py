@@ -72,6 +72,7 @@ def _axes(result: dict[str, Any], name: str) -> list[dict[str, Any]]:
     return _of(result, name)["sensors"][0]["axes"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(FIGURES, 1))
 @pytest.mark.parametrize(
     "sensors", some([(("empty",),), (("one",),), (("short",),), (("constant",),), (("ramp",),), None], 1)

@@ -45,6 +45,7 @@ def test_the_longest_phase_at_rest_is_chosen(result: dict[str, Any]) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_gap_splits_the_run(result: dict[str, Any]) -> None:
     """Rows 500 ... 1999 and 2020 ... 5499: the Allan deviation pools both; no term spans the gap."""
     found = sensor(result, "A")

@@ -129,6 +129,7 @@ def test_a_lis3mdl_measures_its_temperature(bench: Callable[..., Any]) -> None:
     assert made.read().temperature_counts.tolist() == [128]  # 8 a degC, 0 at 25 degC: LIS-20
 
 
+@pytest.mark.slow
 def test_a_microcontroller_reads_a_lis3mdl_twice_in_a_frame(tmp_path: Path) -> None:
     """The temperature is a separate transaction (LIS-18): no frame is left out for it, and it is that of the room."""
     array = parse_array(

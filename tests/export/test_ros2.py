@@ -141,6 +141,7 @@ def test_the_file_is_of_the_ros2_profile(bag: Path) -> None:
     assert len({schema.name for schema in summary.schemas.values()}) == len(summary.schemas)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart_ns", some([0, 1], 1))
 def test_halves_of_a_six_axis_chip_read_together_are_one_imu(tmp_path: Path, apart_ns: int) -> None:
     """Kalibr and others require force and rate of a chip in one message."""
@@ -283,7 +284,7 @@ def test_a_guessed_map_restores_the_counts(tmp_path: Path) -> None:
 
 def test_a_guessed_map_omits_the_truth(tmp_path: Path) -> None:
     """It would be two more sensors of the array."""
-    words = ["simulate", "martin2013", "--only", "ADXL1,Gyro1", "--seconds", "20", "-o", f"{tmp_path}/run.h5"]
+    words = ["simulate", "martin2013", "--only", "ADXL1,Gyro1", "--seconds", "5", "-o", f"{tmp_path}/run.h5"]
     assert main(words) == 0
     export(tmp_path / "run.h5", tmp_path / "run.mcap", tool="ros2")
     proposed = guess_map(tmp_path / "run.mcap")

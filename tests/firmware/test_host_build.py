@@ -144,6 +144,7 @@ def test_acknowledged_commands_were_executed_once(
         assert done == sorted(done)
 
 
+@pytest.mark.slow
 def test_unread_frames_are_dropped_whole(host_program: Path, tmp_path: Path, hasty: None) -> None:
     with hosted(host_program, tmp_path) as (host, wire), SerialBus(BadLine(host.path)) as bus:
         bus.start([PollList(1, 0, (Request(ADXL345, BURST, 8), *[Request(ADXL345, b"\x00", 57)] * 12))], 5000)

@@ -62,7 +62,7 @@ def test_frames_that_a_bad_line_loses_are_sent_again(
     assert not [text for text in refusals if "old" in text or "no kind" in text or "connected" in text]
 
 
-@pytest.mark.parametrize("silent_s", [0.5, 1.5])
+@pytest.mark.parametrize("silent_s", some([0.5, 1.5], 1))
 def test_an_interruption_of_the_line_loses_nothing(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, silent_s: float
 ) -> None:

@@ -41,6 +41,9 @@ __all__ = [
 ]
 
 
+pytestmark = pytest.mark.slow  # test_resend.py and test_queues.py have streams of the core in the quick half
+
+
 @pytest.fixture(autouse=True)
 def _the_core(core_firmware: type[CoreFirmware], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(serial_bench, "Firmware", core_firmware)

@@ -163,6 +163,7 @@ def test_even_order_errors_of_a_design_cancel(write_run: WriteRun) -> None:
     assert shift["opposed"].max() < 1 / 30
 
 
+@pytest.mark.slow
 def test_odd_order_errors_stay_as_in_the_average(write_run: WriteRun) -> None:
     """k u^3 changes its sign with the axis, like the truth: it is not observable, not cancelled and not increased."""
 

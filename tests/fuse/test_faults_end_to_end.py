@@ -192,6 +192,7 @@ def check(scene: Scene, technique: Technique, sensor: str, fault: str, folder: P
     assert (errors(path, blocks, quantity, scene.onset_s) < 1.1 * without(scene, technique, sensor)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("technique", "sensor", "fault"),
     some(

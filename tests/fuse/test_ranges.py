@@ -85,6 +85,7 @@ def test_a_low_range_of_another_chip_fades_out_without_a_step(write_run: WriteRu
     assert np.abs(error - SHARE * 0.05).max() < 1.5 / 2048
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_calibration_needs_no_rest(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,6 +132,7 @@ def test_the_low_range_has_no_weight_near_its_end(axis: int, sign: int) -> None:
         assert low_share(sign * level, axis) == 0.0
 
 
+@pytest.mark.slow
 def test_the_low_range_fades_without_a_step() -> None:
     levels = np.linspace(0.7, 1.0, 151)
     share = np.array([low_share(level) for level in levels])
@@ -227,6 +229,7 @@ def error_g(case: Case, technique: Callable[[Frames], Estimate] | None = None) -
 SEEDS = range(24)
 
 
+@pytest.mark.slow
 def test_no_step_across_a_manoeuvre_of_5_g() -> None:
     """The mean error before, at the top and after; and on either side of both hand-overs, where noise of half a second
     is 17.05 / sqrt 50 = 2.4 mg: not one of them shows a step as large as the noise of one reading, and 24 runs
@@ -259,6 +262,7 @@ def test_the_same_manoeuvre_without_tracking_has_a_step() -> None:
     assert error[(~estimate.used[:, 0]) & (case.seconds < 0.6)].mean() < -0.038
 
 
+@pytest.mark.slow
 def test_learning_at_rest_does_not_increase_errors_of_a_manoeuvre() -> None:
     """Rest determines the bias, not the scale: rms at 4 to 5 g compared with that of the uncorrected high range. For
     differences as large as the prior (1.5 g / 20, 1 %, 1.5 ms) much better, and equal without differences.
@@ -351,6 +355,7 @@ def test_a_slow_turn_determines_the_scale_and_no_delay() -> None:
     assert low.scale - high.scale == pytest.approx(SCALE, abs=4 * (low.scale_sem + high.scale_sem))
 
 
+@pytest.mark.slow
 def test_a_delay_is_corrected_where_the_high_range_is_alone() -> None:
     """A low range 4 ms late: during the rise to 5 g, at 3 g/s, the blend is late by 0.76 of that, and the high range
     has the same delay. Without the correction: 9 mg.

@@ -81,6 +81,7 @@ def test_rows_in_any_pieces_give_the_result_of_the_log(run: Path, technique: str
         same(list(pushed(stream, read(log), seed, most_s)), list(fuse(log, calibration(parts()), technique)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(3), 1))
 def test_live_temperatures_are_causal(warm: Path, seed: int) -> None:
     with open_log(warm) as log:

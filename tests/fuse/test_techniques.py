@@ -10,6 +10,7 @@ from imuarray.fuse import NEEDS_NOISE, TECHNIQUES, Axis, fuse
 from imuarray.log import open_log
 from tests.fuse.arrays import at_once, low_and_high, triad, weights
 from tests.fuse.conftest import Floats, G, Motion, Part, WriteRun, calibration, joined
+from tests.selection import some
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z", "+Y+Z+X", "-X-Y+Z")
 
@@ -92,7 +93,7 @@ def test_nearly_equal_noise_gives_the_weights_of_the_average(technique: str) -> 
     assert weights(TECHNIQUES[technique](axes), 6)[0, [0, 5]] == pytest.approx([0.5, 0.5])
 
 
-@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("technique", some(TECHNIQUES, 2))
 def test_no_clipped_reading_is_used(write_run: WriteRun, technique: str) -> None:
     """At 3 g the low range is at its end: a single use of it would give an error of 0.7 g."""
     motion: Motion = lambda seconds: np.tile([3.0, 0.0, 0.0], (len(seconds), 1))  # noqa: E731

@@ -62,6 +62,7 @@ def test_noise_slopes_and_offsets_of_a_heated_array_are_fitted() -> None:
         np.testing.assert_allclose(found.offset, bias.offset, atol=20 * noise.rms[0] / np.sqrt(rows))  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_opposite_faces_cancel_a_scale_error() -> None:
     """Six faces: the mean of + and - is the bias alone; one face: 3 % of 1 g are in it."""
     more = {"A1": (Scale(0.03),)}
@@ -293,6 +294,7 @@ def test_a_configured_filter_is_fitted_where_it_is_observable(lag_1: float, expe
     assert lag_1 == 0.8 or low_pass.poles == 1.0
 
 
+@pytest.mark.slow
 def test_white_noise_gives_no_filter() -> None:
     """One of 250 recordings of 3000 rows gives a filter by chance, so that 3 of 40 do once in 1500 times."""
     each = [
@@ -302,6 +304,7 @@ def test_white_noise_gives_no_filter() -> None:
     assert sum(fitted.low_pass is not None for fitted in each) < 3
 
 
+@pytest.mark.slow
 def test_a_weak_filter_is_fitted_from_a_long_phase_among_short_ones() -> None:
     """90 Hz at 200 rows per second give a correlation of 0.06, a third of which is chance in each of 20 phases of 400
     rows, and a seventh in one of 12,000.
@@ -471,7 +474,7 @@ def test_a_drift_in_short_phases_gives_no_filter() -> None:
     assert sum(fitted.low_pass is not None for fitted in each) <= 1
 
 
-@pytest.mark.parametrize(("cutoff_hz", "poles"), some([(25.0, 1), (12.0, 1), (12.0, 2), (6.0, 2)], 2))
+@pytest.mark.parametrize(("cutoff_hz", "poles"), some([(6.0, 2), (12.0, 1), (12.0, 2), (25.0, 1)], 1))
 def test_correlated_noise_is_not_underestimated(cutoff_hz: float, poles: int) -> None:
     """Segments of 312 rows: about their own mean rows after a filter of 6 Hz vary by 5 % less, and their median is
     lower.

@@ -108,6 +108,7 @@ def test_a_sensor_alone_at_rest_equals_that_among_others() -> None:
     assert np.isnan(alone[~np.isin(columns, own)]).all()
 
 
+@pytest.mark.slow
 def test_two_of_three_sensors_are_still_compared_with_the_third() -> None:
     """The statistics of a pair are those of the whole array, also where they are a mean over the others of the chip."""
     third = '[[sensor]]\nname = "G3"\nchip = "l3g4200d"\nchannel = 1\naddress = 0x68\nrange = 250\nrate_hz = 800\n'

@@ -259,6 +259,7 @@ def test_p_values_are_uniform_though_most_comparisons_end_early() -> None:
     assert found[:, 1].mean() == pytest.approx(43.4, abs=5.0)
 
 
+@pytest.mark.slow
 def test_a_moderate_deviation_needs_all_replicates_and_a_clear_one_does_not() -> None:
     """2.5 standard deviations in each statistic, slightly more than the largest of all replicates; 40, ten times as
     much; and a limit of 40 replicates.

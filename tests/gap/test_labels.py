@@ -119,6 +119,7 @@ def test_each_wrong_label_is_detected(tmp_path: Path, labels: Labels) -> None:
         assert one.probability > 0.999
 
 
+@pytest.mark.slow
 def test_halves_of_phases_give_the_same_labels(tmp_path: Path) -> None:
     """The campaign of a diagnosis has each phase in two parts."""
     recording = tumbled(tmp_path / "tumble.h5", {"x_up": "-X"})
@@ -245,6 +246,7 @@ def test_corrected_recordings_have_the_true_faces(tmp_path: Path) -> None:
     np.testing.assert_allclose(offset, [0.05, -0.05, 0.05], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_unnoted_attitudes_are_estimated_again_after_the_correction(tmp_path: Path) -> None:
     """A wrong label biases the common bias, and with it the attitude of phases without a note."""
     recording = tumbled(tmp_path / "part.h5", {"x_up": "-X", "y_up": ""})

@@ -76,6 +76,7 @@ class Leading(Heating):
     lead_s = 5.0
 
 
+@pytest.mark.slow
 def test_elements_have_the_usual_lag_of_the_thermometer_or_a_fitted_one() -> None:
     """Fitted from readings that follow the temperature without lag; without a slope it is not observable, and the lag
     is the usual one.
@@ -128,6 +129,7 @@ def test_a_line_of_one_accelerometer_is_not_of_the_room() -> None:
     assert vibrating(4e-4, "A1") == ()
 
 
+@pytest.mark.slow
 def test_a_strong_line_of_several_sensors_is_of_the_surroundings() -> None:
     (amplitude_g,) = vibrating(10 * MOST_G, "A1", "A2")
     assert amplitude_g == pytest.approx(10 * MOST_G, rel=0.15)
@@ -138,6 +140,7 @@ def test_a_strong_line_of_several_sensors_is_of_the_surroundings() -> None:
     assert vibrating(rate, "G1") == ()
 
 
+@pytest.mark.slow
 def test_the_delay_of_filters_is_fitted_in_motion() -> None:
     """Both gyroscopes have the same configuration; with 12.5 Hz instead of 35 one of them has an additional delay of
     11.6 ms.

@@ -104,6 +104,7 @@ def test_equal_models_are_simulated_once(tone: tuple[Bench, Campaign]) -> None:
     np.testing.assert_array_equal(found.before, found.after)
 
 
+@pytest.mark.slow
 def test_an_unknown_phase_selects_the_longest() -> None:
     bench, campaign = benched(["turn-on"], {})
     (named,) = curves_of(bench, campaign, [where(phase="run 4")], 12)

@@ -39,6 +39,7 @@ def p_of(scores: PooledScores) -> float:
     return p_value(largest[0], largest[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", some([0.5, 0.0], 1))
 def test_rate_of_false_alarms(shared: float) -> None:
     """False alarms at 5 % (2 of 41): 400 campaigns without a gap, whose places may depend on each other, have between

@@ -97,6 +97,7 @@ def test_probes_of_lines() -> None:
     assert (value("alternation", turns) > 3.0).all()
 
 
+@pytest.mark.slow
 def test_the_line_over_all_phases_exceeds_that_of_each_phase() -> None:
     """A sine of 0.12 of the noise's standard deviation at one frequency, in phases of 8000, 4000 and 3000 rows: in the
     mean of twenty such logs the score of all phases together is higher than that of any phase.
@@ -113,6 +114,7 @@ def test_the_line_over_all_phases_exceeds_that_of_each_phase() -> None:
     assert np.isnan(spectrum.line_of_log(phases[:1])).all()
 
 
+@pytest.mark.slow
 def test_the_line_of_a_log_is_a_normal_score() -> None:
     """Of white noise in three phases, 60 times on three axes: about 0 and 1, since the shorter segments have wider bins
     than those that are counted. The standard errors of mean and scatter are 0.075 and 0.05.

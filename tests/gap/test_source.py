@@ -118,6 +118,7 @@ def test_a_barometer_has_no_axes(tmp_path: Path) -> None:
         RecordedSource(log["P"])
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_rows_and_another_does_not() -> None:
     first, again, other = (statistics(campaign_of("motion", seed=seed)) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.values, again.values)

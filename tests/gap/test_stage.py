@@ -45,6 +45,7 @@ def test_long_logs_are_simulated_few_at_a_time() -> None:
     assert replace(long, experiments=long.experiments * 9).together == 1
 
 
+@pytest.mark.slow
 def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
     """Scale and misalignment are drawn for each replicate, some hundredths of g; the level of either was recorded.
 

@@ -161,6 +161,7 @@ def test_errors_of_sensors_are_not_a_stimulus(what: str) -> None:
     assert not environment_of(campaign(STILL, OF_SENSORS[what]))
 
 
+@pytest.mark.slow
 def test_a_thermal_drift_is_not_a_stimulus() -> None:
     """Each sensor has its own slope, chosen here so that all are equal in the box frame."""
     x, y = (0.001, 0.0, 0.0), (0.0, 0.001, 0.0)

@@ -52,6 +52,7 @@ def test_coasting_of_white_noise() -> None:
     np.testing.assert_allclose(math.sqrt(np.mean(found.error**2)), expected, rtol=0.12)
 
 
+@pytest.mark.slow
 def test_coasting_equals_that_of_integrated_readings() -> None:
     """White noise with a random walk: the same readings, integrated; 60 s is between the octaves 51.2 s and 102.4 s,
     where the curve is nearly straight.
@@ -196,6 +197,7 @@ def test_few_replicates_give_no_interval() -> None:
     assert use.after.value == 0.0
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth() -> None:
     """A figure that scatters by a factor e^(0.3 n): the interval covers the truth in 95 % of 400 recordings; 98 % of
     such counts are within 370 and 390.

@@ -14,6 +14,7 @@ from imuarray.importers.mapping import parse_map
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from tests.importers.recordings import G, lines_of, walk
+from tests.selection import some
 
 ROWS = 1500
 WALK = walk(ROWS)
@@ -82,7 +83,7 @@ SAID = {
 }
 
 
-@pytest.mark.parametrize("write", SAID)
+@pytest.mark.parametrize("write", some(SAID, 2))
 def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], list[str]], tmp_path: Path) -> None:
     source, map_path = tmp_path / "rig.csv", tmp_path / "map.toml"
     source.write_text("\n".join(write(tmp_path)) + "\n")

@@ -138,7 +138,7 @@ RIGS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("write", some(RIGS, 4))
+@pytest.mark.parametrize("write", some(RIGS, 2))
 def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], Path], tmp_path: Path) -> None:
     source, map_path = write(tmp_path), tmp_path / "map.toml"
     map_path.write_text(guess_map(source))
@@ -158,6 +158,7 @@ def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], Path], tm
             assert np.asarray(log["Barometer"].time[:] - int(log["Acc"].time[0])) * 1e-9 == pytest.approx(T[::10])
 
 
+@pytest.mark.slow
 def test_units_of_millimetres_and_gal(tmp_path: Path) -> None:
     """1 gal is 1 cm/s2 (Galileo); both spellings of both units give the same counts."""
     counts = []

@@ -356,6 +356,7 @@ def test_damaged_files_are_refused_in_one_line(
     assert not (tmp_path / "r.h5").exists()
 
 
+@pytest.mark.slow
 def test_times_in_bursts_are_regularised_and_raw_times_kept(tmp_path: Path) -> None:
     """A chip at 100 Hz whose clock has an error of 200 ppm and drifts, read by a host in bursts of a dozen rows."""
     rng = np.random.default_rng(9)

@@ -223,6 +223,7 @@ def test_codes_with_an_undeclared_offset_are_doubted(tmp_path: Path) -> None:
         assert any("are they unsigned, with an offset?" in text for text in report_of(log).doubts)
 
 
+@pytest.mark.slow
 def test_linear_acceleration_is_omitted_if_the_full_one_exists(tmp_path: Path) -> None:
     linear = np.hstack([np.ones((ROWS, 1)), np.zeros((ROWS, 3)), BOTH, WALK.force_g - [0, 0, 1]])
     header = "t,qw,qx,qy,qz,ax,ay,az,gx,gy,gz,lin_acc_x,lin_acc_y,lin_acc_z"
@@ -261,6 +262,7 @@ def test_the_scale_of_a_gyroscope_is_estimated_from_quick_turns(true_scale: floa
         assert turns_of(log) == pytest.approx(true_scale, rel=0.02)
 
 
+@pytest.mark.slow
 def test_rows_with_equal_times_are_reported(tmp_path: Path) -> None:
     stamps = np.floor(WALK.time_s * 5) / 5
     source = written(tmp_path, joined([HEADER, *lines_of(stamps, counts_of(WALK), "{:d}")]))

@@ -64,6 +64,7 @@ def test_packets_are_recognised_by_the_guess(tmp_path: Path, out: Path) -> None:
         guess_map(source(tmp_path, bytes(range(256)) * 40))
 
 
+@pytest.mark.slow
 def test_a_finding_of_all_sensors_is_one_short_sentence(tmp_path: Path, out: Path) -> None:
     """Rows are missing in all sixteen sensors, in the order of the log: accelerometer, gyroscope, accelerometer."""
     import_file(source(tmp_path, run([*range(100), *range(150, 250)])), out)
@@ -146,6 +147,7 @@ def test_a_repeated_packet_is_one_row(tmp_path: Path, out: Path) -> None:
     assert (summary.rows, summary.lost, summary.events) == (3, 0, {"repeated": 1})
 
 
+@pytest.mark.slow
 def test_a_counter_that_jumps_is_noted(tmp_path: Path, out: Path) -> None:
     content = packet(1, 0) + packet(2, PERIOD) + packet(3, 64_000_000)
     assert import_file(source(tmp_path, content), out).events == {"clock": 1}

@@ -272,6 +272,7 @@ def test_the_guessed_map_gives_the_true_values(case: Case, tmp_path: Path) -> No
         assert not [said for said in report_of(log).doubts if said.startswith("Acc")]
 
 
+@pytest.mark.slow
 def test_a_zip_file_of_a_phone_is_read_like_its_folder(tmp_path: Path) -> None:
     """An export of phyphox: a text for each sensor, and texts about the phone in a folder."""
     with zipfile.ZipFile(tmp_path / "phone.zip", "w") as archive:

@@ -15,6 +15,7 @@ from imuarray.importers.mapping import parse_map
 from imuarray.importers.table import import_table
 from imuarray.log import Log, open_log
 from tests.importers.recordings import G
+from tests.selection import some
 
 ROWS, RATE_HZ = 1200, 100.0
 T = np.arange(ROWS) / RATE_HZ
@@ -99,13 +100,16 @@ def imported(folder: Path, source: Path, text: str) -> Log:
 
 @pytest.mark.parametrize(
     ("write", "attitude"),
-    [
-        (phyphox, "left out: Attitude.csv: an attitude"),
-        (sensor_logger, "left out: Orientation.csv: an attitude"),
-        (android_table, 'left out: "rot_vec_w", "rot_vec_x", "rot_vec_y", "rot_vec_z": an attitude'),
-        (toolbox, ""),
-        (android_events, "left out: rows of kind 'TYPE_ROTATION_VECTOR': an attitude"),
-    ],
+    some(
+        [
+            (phyphox, "left out: Attitude.csv: an attitude"),
+            (sensor_logger, "left out: Orientation.csv: an attitude"),
+            (android_table, 'left out: "rot_vec_w", "rot_vec_x", "rot_vec_y", "rot_vec_z": an attitude'),
+            (toolbox, ""),
+            (android_events, "left out: rows of kind 'TYPE_ROTATION_VECTOR': an attitude"),
+        ],
+        2,
+    ),
 )
 def test_only_measurements_are_proposed(write: Callable[[Path], Path], attitude: str, tmp_path: Path) -> None:
     """The gyroscope alone; linear acceleration and attitude are named in one line each, the former as a comment."""
@@ -121,6 +125,7 @@ def test_only_measurements_are_proposed(write: Callable[[Path], Path], attitude:
         assert rates == pytest.approx(np.degrees(GYRO), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_attitude_restores_gravity_on_request(tmp_path: Path) -> None:
     """With the comment of the proposal as part of the map: the force in closed form, and rotations that agree."""
     source = android_table(tmp_path)

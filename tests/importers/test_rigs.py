@@ -119,7 +119,7 @@ RIGS: dict[str, Callable[[Path], Path]] = {
 }
 
 
-@pytest.mark.parametrize("rig", some(RIGS, 3))
+@pytest.mark.parametrize("rig", some(RIGS, 1))
 def test_a_guessed_map_gives_the_true_values(rig: str, tmp_path: Path) -> None:
     with imported(tmp_path, RIGS[rig](tmp_path)) as log:
         acc, gyro = log["Acc"], log["Gyro"]
@@ -186,6 +186,7 @@ def test_files_that_do_not_follow_each_other_are_doubted(case: str, tmp_path: Pa
         assert set(log.sensors) == {"Acc", "Gyro", "Acc2", "Gyro2"}
 
 
+@pytest.mark.slow
 def test_files_of_simultaneous_sensors_are_not_parts(tmp_path: Path) -> None:
     assert "parts" not in guess_map(folder_of(tmp_path / "sensors", LINES, LINES))
 
@@ -196,7 +197,7 @@ def test_readings_in_seconds_are_not_times_of_day(tmp_path: Path) -> None:
     assert 'unit = "s"' in guess_map(source)
 
 
-@pytest.mark.parametrize("name", some(["Zimmer [°C]", "room_degC", "T1 (K)"], 2))
+@pytest.mark.parametrize("name", some(["Zimmer [°C]", "room_degC", "T1 (K)"], 1))
 def test_a_unit_of_temperature_indicates_a_thermometer(name: str, tmp_path: Path) -> None:
     rows = [f"{line},23.45" if "K" not in name else f"{line},296.6" for line in lines_of(T, SI, "{:.6f}")]
     with imported(tmp_path, written(tmp_path / "warm.csv", [f"t,{NAMES},{name}", *rows])) as log:

@@ -80,6 +80,7 @@ def at_rest(path: Path, sign: int, field: np.ndarray | None = None, up: str = ""
         return report_of(log).quirks
 
 
+@pytest.mark.slow
 def test_gravity_along_a_negative_axis_has_three_explanations(tmp_path: Path) -> None:
     """The field in Central Europe: 0.2 gauss to the north and 0.43 down, 65 degrees below the horizon (IGRF)."""
     assert at_rest(tmp_path / "up.h5", 1) == ()

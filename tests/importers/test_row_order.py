@@ -72,6 +72,7 @@ def test_padding_stays_at_the_end(tmp_path: Path) -> None:
     assert any("5 rows of zeros only" in text for text in remarks)
 
 
+@pytest.mark.slow
 def test_the_guess_sorts_late_rows_but_not_a_clock_step(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_bytes(table(0.01 * SWAPPED + 1, SWAPPED))
     text = guess_map(tmp_path / "data.csv")
@@ -133,6 +134,7 @@ def test_a_column_that_numbers_rows_is_not_a_time(tmp_path: Path) -> None:
     assert "rate_hz = 100 # ? enter the true rate" in text
 
 
+@pytest.mark.slow
 def test_the_rate_of_a_wrapping_counter(tmp_path: Path) -> None:
     """A row every 20 ms, with a 16-bit counter of milliseconds: 50 rows per second."""
     rows = "".join(f"{20 * number % 65536},1,2,16384\n" for number in range(9000))

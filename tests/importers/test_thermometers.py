@@ -63,7 +63,7 @@ def imported(folder: Path, more: str, sensor: str = "") -> Path:
             ("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
             ("", '[reference]\ntemperature = { column = "kelvin", unit = "K" }\n', "reference"),
         ],
-        2,
+        1,
     ),
 )
 def test_slopes_are_calibrated_with_an_imported_temperature(sensor: str, more: str, kind: str, tmp_path: Path) -> None:

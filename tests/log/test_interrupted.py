@@ -272,6 +272,7 @@ def test_the_journal_of_another_log_is_ignored(run: Path, tmp_path: Path) -> Non
         check(run, 210)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage", some(["removed data", "wrong data", "wrong table", "cut", "empty", "no superblock"], 1)
 )
@@ -300,6 +301,7 @@ def test_a_log_with_a_damaged_file_is_read_from_its_journal(run: Path, damage: s
     assert not journal_of(run).exists()
 
 
+@pytest.mark.slow
 def test_wrong_data_before_the_last_commit_are_read_from_the_journal(run: Path) -> None:
     content = bytearray(run.read_bytes())
     with h5py.File(UnclosedFile(run), "r") as file:
@@ -377,6 +379,7 @@ def test_the_journal_of_another_log_next_to_a_finished_log_is_kept(
     assert run.with_name("run.h5.journal.damaged.2").read_bytes() == content
 
 
+@pytest.mark.slow
 def test_a_copy_that_differs_does_not_replace_the_log(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import imuarray.log.hdf5_writer as draft
 

@@ -289,7 +289,7 @@ def test_a_flipped_bit_in_a_payload_of_zeros_loses_no_later_rows(tmp_path: Path)
             struct.pack("<HHII", 0, TAG, 1, 5) * 1_400_000,
             TAG.to_bytes(2, "little") * (1 << 23),
         ],
-        3,
+        2,
     ),
 )
 def test_the_search_after_damage_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: bytes) -> None:

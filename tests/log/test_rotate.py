@@ -151,6 +151,7 @@ def test_appending_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch: 
     assert [path.name for path in log.paths] == ["run_001.h5", "run_002.h5", "run_003.h5"]
 
 
+@pytest.mark.slow
 def test_the_error_of_a_part_created_ahead_is_raised_when_it_is_required(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -199,6 +200,7 @@ def test_a_part_without_rows_is_not_written(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == log.paths
 
 
+@pytest.mark.slow
 def test_parts_are_counted_from_the_first_frame(tmp_path: Path) -> None:
     with rotating(tmp_path / "run.h5") as log:
         log.keep()

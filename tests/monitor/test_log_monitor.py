@@ -105,6 +105,7 @@ def test_a_fused_file_of_the_log_is_shown_instead_of_the_mean(logger: Logger, lo
         assert other is not None and other.technique == "mean"  # that file is of another log
 
 
+@pytest.mark.slow
 def test_a_fused_file_is_shown_while_it_is_written(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
     time = np.arange(300, dtype=np.int64) * 10_000_000
@@ -116,6 +117,7 @@ def test_a_fused_file_is_shown_while_it_is_written(logger: Logger, log_path: Pat
     assert fused.mean["angular_rate"].tolist() == [1.0, 2.0, 3.0]
 
 
+@pytest.mark.slow
 def test_a_calibration_that_does_not_fit_is_reported(logger: Logger, log_path: Path) -> None:
     from imuarray.calibrate.model import nominal
     from imuarray.log import open_log
@@ -210,6 +212,7 @@ def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path
     assert len(seen.recent) == KEPT and seen.recent[0].kind == "back"
 
 
+@pytest.mark.slow
 def test_missed_frames_of_a_permanently_slow_machine_are_counted_from_events(logger: Logger, log_path: Path) -> None:
     """Its rows have a constant interval: only the events contain the count."""
     logger.go_on(4.0)
@@ -256,6 +259,7 @@ def test_sensors_with_a_queue_or_a_low_rate_have_their_own_period(log_path: Path
     assert views == {"Acc": (False, 5), "Turned": (True, 0), "Baro": (False, 0)}
 
 
+@pytest.mark.slow
 def test_quiet_time_and_free_space_are_reported(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0)
     with LogMonitor(log_path) as watch:
@@ -505,6 +509,7 @@ def test_a_sensor_is_silent_after_a_second_and_returns(logger: Logger, log_path:
         assert states == [(None, 0, True), (1.8, 180, False), (2.7, 270, False), (None, 270, True)]
 
 
+@pytest.mark.slow
 def test_the_fused_noise_excludes_a_dead_sensor(logger: Logger, log_path: Path) -> None:
     """Its last rows were fused alone, long before those of the others, and made the scatter theirs."""
     with LogMonitor(log_path, span_s=2.0) as watch:
@@ -526,6 +531,7 @@ def test_a_slow_sensor_is_not_silent_between_its_rows(log_path: Path) -> None:
     assert (baro.silent_s, baro.missed, baro.mean.tolist()) == (None, 0, [1002.5])
 
 
+@pytest.mark.slow
 def test_a_barometer_with_readings_buffered_by_the_logger_is_not_silent(log_path: Path) -> None:
     """The logger writes a row after the check that the sensor is not frozen: 24 readings of 4 Hz are six seconds."""
     seen = []
@@ -550,6 +556,7 @@ def test_the_monitor_waits_longer_than_the_logger_buffers_readings() -> None:
     assert composition._HELD_NS * 1e-9 > sample_buffer.HELD_S
 
 
+@pytest.mark.slow
 def test_a_sensor_without_rows_is_shown_without_values(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0, without=("Acc", "Baro"))
     with LogMonitor(log_path) as watch:
@@ -561,6 +568,7 @@ def test_a_sensor_without_rows_is_shown_without_values(logger: Logger, log_path:
     assert sensor(seen, "Baro").rows == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "error", some([OSError("gone"), RuntimeError("Unable to read"), KeyError("commits"), ValueError("x")], 1)
 )

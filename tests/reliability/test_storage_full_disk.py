@@ -160,6 +160,7 @@ def few_files(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
     subprocess.run(["umount", "-l", place], check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inodes", some([2, 3, 4], 1))
 def test_a_disk_without_free_inodes_leaves_no_file(few_files: Callable[[int], Path], inodes: int) -> None:
     folder = few_files(inodes)

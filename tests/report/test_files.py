@@ -86,6 +86,7 @@ def test_failed_sensors_are_reported(made: Path, tmp_path: Path) -> None:
     assert "9.00 s: B&lt;1&gt; x agrees with the others again: back in use" in text
 
 
+@pytest.mark.slow
 def test_the_claimed_error_is_that_at_rest(tmp_path: Path) -> None:
     """A third of the frames is motion, whose claimed error of 0.5 m/s2 (uncertain times) does not apply to the rest."""
     rng, motion = np.random.default_rng(1), np.arange(3000) >= 2000

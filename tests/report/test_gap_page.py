@@ -327,6 +327,7 @@ def test_the_verdict_on_a_partly_explained_gap(causes: Sequence[Cause], sentence
     assert ("1", "cause") in verdict.figures
 
 
+@pytest.mark.slow
 def test_improbable_causes_are_counted(tmp_path: Path) -> None:
     causes = (CAUSES[0], replace(CAUSES[1], probability=0.004))
     page = page_of(replace(made(), causes=causes, overlays=()), tmp_path)
@@ -428,7 +429,7 @@ def test_a_gap_of_zero_is_drawn_on_a_linear_scale() -> None:
     assert shrink_figure(Gap(3.0, 0.0, 0.0, 1.0, None, {})).axes[0].get_xscale() == "linear"
 
 
-@pytest.mark.parametrize("overlay", some(overlays(), 2))
+@pytest.mark.parametrize("overlay", some(overlays(), 1))
 @pytest.mark.parametrize("points", [0, 1])
 def test_curves_of_no_or_one_point_are_drawn(overlay: Overlay, points: int, tmp_path: Path) -> None:
     short = replace(

@@ -143,6 +143,7 @@ def test_tables_are_shown_without_scrolling(tmp_path: Path) -> None:
     assert "overflow-y" not in style
 
 
+@pytest.mark.slow
 def test_a_recording_too_short_for_an_allan_curve_has_a_sentence(run: Path, tmp_path: Path) -> None:
     """Ten seconds less a pause of one; half a second is cut off at either end of a rest."""
     write_report([run], tmp_path / "page.html")

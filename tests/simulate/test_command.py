@@ -47,6 +47,7 @@ def test_every_experiment_has_the_requested_length(tmp_path: Path, experiment: s
         assert log.truth is not None
 
 
+@pytest.mark.slow
 def test_a_turn_on_series_is_one_file_per_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["martin2013", "--model", "martin2013", "--experiment", "turn-on", "--runs", 3, "--seconds", 20]
     assert simulate(*arguments, "--only", "Gyro3,BMA1", "-o", tmp_path / "run.h5", "--json") == 0
@@ -209,6 +210,7 @@ def test_every_shipped_model_loads_by_its_name(path: Path) -> None:
     assert load_model(path).name == path.stem
 
 
+@pytest.mark.slow
 def test_a_heated_box_can_be_upside_down(tmp_path: Path) -> None:
     run = tmp_path / "run.h5"
     assert simulate("martin2013", "--experiment", "heating", "--up=-Z", "--seconds", 20, "-o", run) == 0

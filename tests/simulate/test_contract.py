@@ -256,7 +256,7 @@ def test_input_rows_are_not_modified(bench: Bench, name: str) -> None:
     assert [value.tobytes() for value in arrays] == copies
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", some(EFFECTS, 12))
 def test_random_draws_depend_only_on_seed_and_boot(bench: Bench, name: str) -> None:
     before = bench.stages(0, ROWS)
 
@@ -303,7 +303,7 @@ def test_any_block_alone_equals_that_of_the_whole(bench: Bench, name: str) -> No
             assert np.all(close), column
 
 
-@pytest.mark.parametrize("name", some([None, *EFFECTS], 10))
+@pytest.mark.parametrize("name", some([None, *EFFECTS], 5))
 def test_rows_computed_alone_equal_those_of_their_chunk(name: str | None) -> None:
     """Of a box that is heated and turned, bit for bit, whether or not the effect lets them be worked out alone."""
     array = parse_array(

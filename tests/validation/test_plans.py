@@ -206,6 +206,7 @@ def test_the_pages_state_the_number_of_cases(page: str) -> None:
         assert said in text, name
 
 
+@pytest.mark.slow
 def test_unobservable_mechanisms_are_not_cases() -> None:
     """Twins of the same mounting, and the orientation of a single accelerometer without a noted level."""
     worlds = [draw_world(seed) for seed in range(1_000_000, 1_000_400)]

@@ -55,6 +55,7 @@ def on_x(values: Floats) -> Floats:
     return np.stack([values, 0 * values, 0 * values], axis=1)
 
 
+@pytest.mark.slow
 def test_a_step_between_halves_has_the_ratio_of_a_matched_filter(tmp_path: Path) -> None:
     """A step of h at the middle of n rows of white noise, with a fitted mean: h sqrt(n) / (2 sigma) = 4; the density of
     the noise is estimated from the lowest bins of a spectrum of some tens of windows.
@@ -87,6 +88,7 @@ def test_deviations_within_the_tolerance_of_a_part_are_not_an_effect(tmp_path: P
         assert matched_statistic([first, first], [first, far]) > LIMIT
 
 
+@pytest.mark.slow
 def test_a_cutoff_within_its_tolerance_is_not_an_effect(tmp_path: Path) -> None:
     """The filter of a part may differ by a half; a filter at a third of its cutoff is an effect."""
     header = replace(HEADER, bandwidth_hz=20.0)
@@ -132,6 +134,7 @@ def turning(folder: Path, *added: Floats) -> list[Log]:
     return opened
 
 
+@pytest.mark.slow
 def test_a_bias_is_not_an_effect_in_motion(tmp_path: Path) -> None:
     """The constant that the bias adds to all rows of a log is fitted, also in motion; a term of the square of the force
     is not.
@@ -165,6 +168,7 @@ def test_a_delay_is_observable_only_against_another_recording(tmp_path: Path) ->
     )
 
 
+@pytest.mark.slow
 def test_a_displacement_within_the_tolerance_is_not_an_effect(tmp_path: Path) -> None:
     """An accelerometer 3 mm from its noted place reads rate x (rate x r) + acceleration x r (about z: -x w^2 along x, x
     w' along y); at 50 mm it is an effect.
@@ -175,6 +179,7 @@ def test_a_displacement_within_the_tolerance_is_not_an_effect(tmp_path: Path) ->
     assert matched_statistic([plain], [near]) < LIMIT < matched_statistic([plain], [far])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", some([0.25, 0.4, 0.6], 1))
 def test_another_level_within_a_code_is_not_an_effect(tmp_path: Path, sigma: float) -> None:
     """With little noise another bias changes the noise of rounding, the share of repeated codes, and the share of even

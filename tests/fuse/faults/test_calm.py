@@ -37,6 +37,7 @@ def cases(quantity: str) -> dict[str, tuple[Run, Frames]]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 1)
 )

@@ -70,6 +70,7 @@ def test_a_single_wrong_reading_is_a_fault_of_its_sensor(sensor: int) -> None:
     assert suspect is not None and suspect.axes == (3 * sensor + 1,) and suspect.rivals == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sizes", some([3, 12], 1))
 def test_the_bounds_hide_no_fault(sizes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Readings of each axis with increasing errors: with and without the bounds the verdict is the same; small errors

@@ -110,6 +110,7 @@ def test_readmission_takes_three_seconds_and_six_the_second_time(quantity: str) 
     assert not whole.valid[1200:1400, 4].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", some([(("BMA1", "BMA2"),), (("Gyro1", "Gyro2"),)], 1))
 def test_a_bias_between_two_triads_is_not_isolated(pair: tuple[str, str]) -> None:
     """A bias that grows within a second, without a jump that would identify the sensor; both stay in use, and an event

@@ -223,6 +223,7 @@ def shaken_error(run: Path, change: float | None = None) -> float:
     return float(np.sqrt(((ours - truth) ** 2).mean() / ((mean - truth) ** 2).mean()))
 
 
+@pytest.mark.slow
 def test_an_unmodelled_difference_of_responses_is_not_amplified(write_run: WriteRun) -> None:
     """With equal noise, the mean is the best estimate of the common part; `RESPONSE_CHANGE`."""
     run = write_run(TURNED, frames=5)

@@ -120,6 +120,7 @@ def test_stale_samples_are_suggested(probability: float) -> None:
     assert found.probability == pytest.approx(probability, rel=0.35)
 
 
+@pytest.mark.slow
 def test_rare_stale_samples_are_suggested() -> None:
     """About a dozen repetitions in a tumble: the median over its phases is zero, their share of all rows is not."""
     evidence = shown("tumble", "A1", StaleSamples(0.002))

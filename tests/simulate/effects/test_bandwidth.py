@@ -20,6 +20,7 @@ from tests.simulate.conftest import Constant, MakePlace, furthest, header
 MakeAnalog = Callable[..., Analog]
 
 
+@pytest.mark.slow
 def test_same_rms_and_exponential_correlation_from_the_first_row_on(place: MakePlace, analog: MakeAnalog) -> None:
     """A quarter of the rate over pi: phi = exp(-1 / 2)."""
     rng = np.random.default_rng(5)
@@ -42,6 +43,7 @@ def test_noise_of_a_chip_read_repeatedly_is_correlated_by_samples(constant: type
     assert np.corrcoef(samples[1:], samples[:-1])[0, 1] == pytest.approx(0.533, abs=0.02)
 
 
+@pytest.mark.slow
 def test_two_poles_are_scipys_butterworth(place: MakePlace, analog: MakeAnalog) -> None:
     """Its response to a step; and of white noise the correlation exp(-u) (cos u + sin u), u = sqrt(2) pi cutoff t, with
     standard errors of 0.005.
