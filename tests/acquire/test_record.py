@@ -135,24 +135,24 @@ def silence(address: int, start_ms: float, end_ms: float) -> Callable[[Any], boo
     return lambda call: call.address == address and 2000 + start_ms <= call.at_ns / MS < 2000 + end_ms
 
 
+@pytest.fixture(scope="module")
+def losses(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """What the recorder says, its bus and its log: a BMA180 is silent from 100 ms to 200 ms."""
+    path = tmp_path_factory.mktemp("lost") / "r.h5"
+    array = an_array(A=0, B=1)
+    bus = tapped(array, "world=shaking&still_s=0.1&motion_s=60&peak_g=0.6", silence(0x40, 100, 200))
+    bus.clock.sleep_until(1500 * MS)
+    connect(array, bus)
+    bus.clock.sleep_until(2000 * MS - 300 * MS)
+    done = record(array, bus, path, rate_hz=100, seconds=1)
+    return done, bus, path
+
+
 class TestLostReadings:
     """A BMA180 that is silent from 100 ms to 200 ms, in a box that is shaken all the time."""
 
-    @pytest.fixture(scope="class")
-    def lost(
-        self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
-    ) -> Any:
-        path = tmp_path_factory.mktemp("lost") / "r.h5"
-        array = an_array(A=0, B=1)
-        bus = tapped(array, "world=shaking&still_s=0.1&motion_s=60&peak_g=0.6", silence(0x40, 100, 200))
-        bus.clock.sleep_until(1500 * MS)
-        connect(array, bus)
-        bus.clock.sleep_until(2000 * MS - 300 * MS)
-        done = record(array, bus, path, rate_hz=100, seconds=1)
-        return done, bus, path
-
-    def test_a_silent_sensor_has_no_rows(self, lost: Any) -> None:
-        done, bus, path = lost
+    def test_a_silent_sensor_has_no_rows(self, losses: Any) -> None:
+        done, bus, path = losses
         assert len(bus.failed) > 0
         time, _, _ = logged(path, "B")
         assert done.frames == 100
@@ -161,14 +161,14 @@ class TestLostReadings:
         assert np.count_nonzero(gaps > 15 * MS) == 1
         assert gaps.max() == pytest.approx(110 * MS, abs=2 * MS)
 
-    def test_the_next_row_is_flagged_lost(self, lost: Any) -> None:
-        _, _, path = lost
+    def test_the_next_row_is_flagged_lost(self, losses: Any) -> None:
+        _, _, path = losses
         time, _, status = logged(path, "B")
         (flagged,) = np.flatnonzero(status & LOST)
         assert flagged == np.argmax(np.diff(time)) + 1
 
-    def test_one_event_states_the_cause(self, lost: Any) -> None:
-        _, _, path = lost
+    def test_one_event_states_the_cause(self, losses: Any) -> None:
+        _, _, path = losses
         with open_log(path) as log:
             event, end = log.events
             time = log["B"].time[:]
@@ -178,14 +178,14 @@ class TestLostReadings:
         before = time[np.argmax(np.diff(time))]
         assert before < event.time_ns <= before + 12 * MS
 
-    def test_no_reading_is_repeated(self, lost: Any) -> None:
-        _, _, path = lost
+    def test_no_reading_is_repeated(self, losses: Any) -> None:
+        _, _, path = losses
         time, counts, _ = logged(path, "B")
         assert (np.diff(time) > 0).all()
         assert (np.diff(counts.astype(int), axis=0) != 0).any(axis=1).mean() > 0.95
 
-    def test_other_sensors_lose_nothing(self, lost: Any) -> None:
-        done, _, path = lost
+    def test_other_sensors_lose_nothing(self, losses: Any) -> None:
+        done, _, path = losses
         time, _, status = logged(path, "A")
         assert len(time) == 100
         assert done.lost["A"] == 0
