@@ -343,6 +343,18 @@ def test_three_sensors_are_compared_with_each_other_only() -> None:
     np.testing.assert_allclose([second, third], 1 / 1.05, atol=3e-3)
 
 
+def test_the_track_stands_beside_the_first_of_three_sensors() -> None:
+    """In its unit, along the box's axes: a sensor that reads 1.1 of a force has 1.1 of the track's variance."""
+    sensors = [header(name) for name in "ABC"]
+    tally = CrossTally(sensors, MOVING, 50_000_000, track=Swaying(share_z=1.0))
+    for sensor in sensors:
+        tally.update(sensor.name, block(np.rint(1.1 * 2048 * swaying(SECONDS)), INTERVAL_NS))
+    moments = tally.result()
+    assert moments.with_track == ("A",)
+    track, own = (np.diag(moments.fast)[at] for at in (moments.track_columns("A"), moments.columns("A")))
+    np.testing.assert_allclose(own, 1.21 * track, rtol=0.01)
+
+
 def test_an_axis_that_hardly_moves_has_no_delay() -> None:
     """One part in a thousand of the others' motion, with a misaligned part a quarter of a period late."""
     mixed = np.stack([np.sin(2 * np.pi * 0.9 * SECONDS), np.cos(2 * np.pi * 0.9 * SECONDS)], axis=1)
