@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import get_terminal_size
@@ -22,7 +23,7 @@ from imuarray.commands.options import (
     only_option,
     option,
     output_option,
-    prepare_folder,
+    prepared_folder,
     print_json,
     seed_option,
     takes,
@@ -114,9 +115,9 @@ def diagnose(options: DiagnoseOptions) -> None:
     from imuarray.gap.diagnose import library
 
     library(options.without)
-    if options.output is not None:
-        prepare_folder(options.output, FILES, options.force)
-    with ended_by_signals(), Steps() as steps:
+    output = options.output
+    folder = nullcontext() if output is None else prepared_folder(output, FILES, options.force)
+    with ended_by_signals(), folder, Steps() as steps:
         steps.begin("opening the logs")
         diagnosis = diagnose_logs(
             options.logs,
@@ -130,8 +131,8 @@ def diagnose(options: DiagnoseOptions) -> None:
             progress=steps.begin,
             bar=steps.bar,
         )
-    if options.output is not None:
-        _write(options.output, diagnosis)
+    if output is not None:
+        _write(output, diagnosis)
     _print_diagnosis(diagnosis, options.as_json)
 
 

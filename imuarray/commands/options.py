@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import field, fields
 from functools import wraps
 from pathlib import Path
@@ -236,6 +236,22 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ImuArrayError(f"{error.filename or folder}: {error.strerror or error}") from error
+
+
+@contextmanager
+def prepared_folder(folder: Path, names: Sequence[str], force: bool) -> Iterator[None]:
+    """Make a folder as `prepare_folder` does. If the work in the block fails or is interrupted, a folder that did not
+    exist before is removed again, unless files are in it.
+    """
+    is_new = not folder.exists()
+    prepare_folder(folder, names, force)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            if is_new:
+                folder.rmdir()
+        raise
 
 
 def print_json(value: Any) -> None:

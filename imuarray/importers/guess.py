@@ -6,7 +6,7 @@ its report become comments, and a unit or scale that the recording contradicts i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import log as ln
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,15 @@ from imuarray.errors import ImuArrayError
 from imuarray.importers.column_names import COMPUTED, TRUTH
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
-from imuarray.importers.proposal import COUNTS_OF_GYROSCOPE, UNIT_MG, UNKNOWN_RATE, Item, Proposal, is_in_mg
+from imuarray.importers.proposal import (
+    COUNTS_OF_GYROSCOPE,
+    UNIT_MG,
+    UNIT_UNKNOWN,
+    UNKNOWN_RATE,
+    Item,
+    Proposal,
+    is_in_mg,
+)
 from imuarray.importers.resolution import MOST_BITS, SENSITIVITIES, WIDE_SENSITIVITIES
 from imuarray.importers.source_proposal import propose_map
 from imuarray.importers.table import import_table
@@ -63,7 +71,24 @@ def guess_map(source: str | Path) -> str:
         trial = _try_import(proposal.text([]), path)
     proposal.remarks += [text for text in trial.remarks if text not in proposal.remarks]
     proposal.doubts += [text for text in trial.doubts if text not in proposal.doubts]
+    if trial.factor is None and not trial.is_refused:
+        proposal.doubts += _assumed_scales(proposal)
     return proposal.text(head)
+
+
+def _assumed_scales(proposal: Proposal) -> Iterator[str]:
+    """Yield a doubt about each gyroscope whose unit or scale is assumed, of a recording without rotations that show
+    it.
+    """
+    for item in filter(_is_gyroscope, proposal.items):
+        if item.is_guess("sensitivity"):
+            per_dps = item.line("sensitivity").split()[2]
+            yield (
+                f"{item.name}: {per_dps} counts per dps are assumed, as no rotation shows the scale: enter sensitivity"
+                " and range of its setting"
+            )
+        elif item.is_guess("unit") and UNIT_UNKNOWN in item.line("unit"):
+            yield f"{item.name}: {item.text('unit')} is assumed, as no rotation shows the unit: dps or rad/s?"
 
 
 class _Trial(NamedTuple):

@@ -515,6 +515,10 @@ def _counted(quantity: str, length: float, largest: float) -> list[str]:
     ]
 
 
+UNIT_UNKNOWN = "dps or rad/s"
+"""Why the unit of a gyroscope is guessed, if its values do not show it."""
+
+
 def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
     """Return the line of the unit of columns of physical values (n, 3)."""
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
@@ -523,7 +527,7 @@ def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
         if largest > _MOST_DPS:
             return [f'unit = "mdps"   # ? from the size of the values: up to {largest:.4g}']
         unit = "rad/s" if force_unit == "m/s2" else "dps"
-        return [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
+        return [f'unit = "{unit}"   # ? {UNIT_UNKNOWN}: the import report compares rotations, if there are any']
     if quantity == "specific_force":
         sizes = {"g": 1.0, "m/s2": STANDARD_GRAVITY, "mg": 1000.0}
     else:

@@ -258,6 +258,7 @@ def test_changes_since_an_earlier_log_are_reported(typed: Type) -> None:
         (["humming.h5", "--model", "nothing.toml"], ["nothing.toml"]),
         (["humming.h5", "--model", "humming.h5"], ["humming.h5"]),
         (["humming.h5", "-o", "two.toml"], ["two.toml"]),
+        (["nothing.h5", "-o", "new"], ["nothing.h5"]),
     ],
 )
 def test_invalid_input_gives_one_line_and_no_file(

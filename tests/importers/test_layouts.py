@@ -402,3 +402,9 @@ def test_a_time_that_a_spreadsheet_rounded_is_named() -> None:
     (doubt,) = propose_columns(TextLayout(), names, columns, {}).doubts
     assert doubt.startswith("column 'timestamp' has 1 value in 40 rows, the first 1.7e+12, and no row has a time")
     assert doubt.endswith("100 rows a second are assumed")
+
+
+def test_a_scale_that_a_recording_at_rest_does_not_show_is_doubted(tmp_path: Path) -> None:
+    counts = counts_of(walk(rows=200, still=True))
+    text = guess_map(written(tmp_path, joined([HEADER, *lines_of(WALK.time_s[:200], counts, "{:d}")])))
+    assert "# ? Gyro: 131 counts per dps are assumed, as no rotation shows the scale" in text
