@@ -12,6 +12,8 @@ from typing import Protocol
 from imuarray.facts.registers import Register
 
 Triple = tuple[float, float, float]
+NEVER_NS = 1 << 62
+"""Later than every time of the emulated clock."""
 
 
 class Target(Protocol):

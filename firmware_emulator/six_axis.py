@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import ClassVar, NamedTuple
 
-from firmware_emulator.chip import Chip, Element, Triple
+from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from firmware_emulator.tolerances import Sheet
 from imuarray.facts.registers import Field, Register
 
 ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
-NEVER_NS = 1 << 62
 
 
 @dataclass

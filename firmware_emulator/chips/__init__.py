@@ -6,8 +6,7 @@ from typing import Any
 from firmware_emulator.chip import Chip, Element
 from firmware_emulator.chips import icm42688, lsm6dso, mpu6050, mpu6500
 from firmware_emulator.chips.adxl345 import Adxl345Chip
-from firmware_emulator.chips.ak8963 import Ak8963Chip
-from firmware_emulator.chips.ak8975 import Ak8975Chip
+from firmware_emulator.chips.akm import Ak8963Chip, Ak8975Chip
 from firmware_emulator.chips.bma180 import Bma180Chip
 from firmware_emulator.chips.bmp180 import Bmp180Chip
 from firmware_emulator.chips.bmp280 import Bmp280Chip

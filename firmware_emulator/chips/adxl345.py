@@ -11,10 +11,9 @@ from collections import deque
 from struct import Struct
 from typing import NamedTuple
 
-from firmware_emulator.chip import Chip, Element, Triple
+from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from imuarray.facts import adxl345 as facts
 
-NEVER_NS = 1 << 62
 FASTEST_PERIOD_NS = 312_500  # rate code 15 is 3200 Hz, every code below it half the rate of the next (ADX-36)
 TURN_ON_NS = 1_100_000  # ADX-38
 BYPASS, FIFO, STREAM, TRIGGER = range(4)

@@ -10,10 +10,9 @@ from __future__ import annotations
 from struct import Struct
 from typing import NamedTuple
 
-from firmware_emulator.chip import Chip, Element, Triple
+from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from imuarray.facts import hmc5883 as facts
 
-NEVER_NS = 1 << 62
 CONTINUOUS, SINGLE, IDLE, IDLE_TOO = range(4)
 PERIODS_NS = tuple(round(1e9 / rate_hz) for rate_hz in (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0, 75.0))
 """Periods by rate code (HMC-28); the reserved code 111 is treated as 75 Hz."""

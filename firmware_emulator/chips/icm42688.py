@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, ClassVar
 
-from firmware_emulator.chip import Element, Triple, registers_of
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, NEVER_NS, Die, SampleGrid, SixAxis, clipped
+from firmware_emulator.chip import NEVER_NS, Element, Triple, registers_of
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SampleGrid, SixAxis, clipped
 from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from firmware_emulator.array import open_array
-from firmware_emulator.six_axis import NEVER_NS, SampleGrid
+from firmware_emulator.chip import NEVER_NS
+from firmware_emulator.six_axis import SampleGrid
 from imuarray.acquire import record
 from imuarray.array import parse_array
 from imuarray.log import open_log

@@ -92,7 +92,7 @@ def test_a_slower_measurement_of_an_ak8975_is_awaited(
     bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, poll_s: float
 ) -> None:
     """Sources say 9 ms or 10 ms at the most (AKM-25); a new measurement would end the one in progress (DEC-235)."""
-    monkeypatch.setattr("firmware_emulator.chips.ak8975.MEASURED_NS", 10_000_000)
+    monkeypatch.setattr("firmware_emulator.chips.akm.AK8975_NS", 10_000_000)
     made = bench(CHIPS["ak8975"], sensor("ak8975"), vector=FIELD)
     made.driver.configure()
     begun_ns, fresh = made.clock.now_ns(), 0
