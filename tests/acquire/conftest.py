@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 import pytest
 
+from imuarray.acquire import record
+from imuarray.acquire.recording import RecordingCounts
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import open_bus
+from imuarray.log import Log, open_log
 
 SENSORS = {
     "A": 'chip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n',
@@ -81,3 +87,48 @@ def tapped() -> Callable[..., Tapped]:
         return Tapped(open_bus(f"emulated:?{url}", array), fails)
 
     return make
+
+
+class Board:
+    """An array on its emulated bus, and the log into which it is recorded."""
+
+    def __init__(self, array: ArrayConfig, bus: Tapped, path: Path) -> None:
+        self.array, self.bus, self.path = array, bus, path
+        self.begun_ns = 0
+        """When the first frame began, or 0 before it."""
+
+    def _note_begin(self) -> bool:
+        self.begun_ns = self.begun_ns or self.bus.clock.now_ns()
+        return False
+
+    def record(self, rate_hz: float = 100, **options: Any) -> RecordingCounts:
+        options.setdefault("stopped", self._note_begin)
+        return record(self.array, self.bus, self.path, rate_hz=rate_hz, **options)
+
+    def log(self) -> Log:
+        return open_log(self.path)
+
+    def rows(self, name: str, path: Path | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times, counts and status of a sensor in the log, or in another one."""
+        with open_log(path or self.path) as log:
+            sensor = log[name]
+            return sensor.time[:], sensor.counts[:], np.asarray(sensor.status[:])
+
+
+@pytest.fixture(scope="session")
+def board_at(an_array: Callable[..., ArrayConfig], tapped: Callable[..., Tapped]) -> Callable[..., Board]:
+    """``board_at(path, "world=tumble", fails, A=0, G=1)``: these sensors on an emulated bus, and this log."""
+
+    def make(
+        path: Path, url: str = "", fails: Callable[[Call], bool] = lambda call: False, **channels: int | None
+    ) -> Board:
+        array = an_array(**channels)
+        return Board(array, tapped(array, url, fails), path)
+
+    return make
+
+
+@pytest.fixture
+def board(board_at: Callable[..., Board], tmp_path: Path) -> Callable[..., Board]:
+    """``board("world=tumble", fails, A=0, G=1)``: these sensors on an emulated bus, and the log r.h5."""
+    return partial(board_at, tmp_path / "r.h5")

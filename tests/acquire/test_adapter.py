@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.acquire import record
 from imuarray.acquire.bus_segment import AdapterState
-from imuarray.log import open_log
 from imuarray.report.verdicts import recording_verdict
 
 MS = 1_000_000
@@ -87,16 +84,14 @@ class InterruptedBus:
         return getattr(self.bus, name)
 
 
-def test_interrupted_readings_are_counted_and_their_times_are_within_half(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
-) -> None:
-    array = an_array(A=0, G=0)
-    bus = InterruptedBus(tapped(array).bus, 0x68)
-    done = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=4)  # type: ignore[arg-type]
+def test_interrupted_readings_are_counted_and_their_times_are_within_half(board: Callable[..., Any]) -> None:
+    made = board(A=0, G=0)
+    made.bus = InterruptedBus(made.bus.bus, 0x68)
+    done = made.record(50, seconds=4)
     assert done.uncertain == 20
     assert (done.late, done.missed) == (0, 0)
-    with open_log(tmp_path / "r.h5") as log:
-        error_ns = np.asarray(log["G"].time) - (np.array(bus.starts) - bus.starts[0] + log["G"].time[0])
+    with made.log() as log:
+        error_ns = np.asarray(log["G"].time) - (np.array(made.bus.starts) - made.bus.starts[0] + log["G"].time[0])
         assert np.count_nonzero(error_ns) == 20
         assert np.abs(error_ns).max() == pytest.approx(4 * MS, rel=0.05)
         assert (np.diff(np.asarray(log["A"].time)) == 20 * MS).all()
@@ -120,15 +115,13 @@ class HungBus(InterruptedBus):
         return answer
 
 
-def test_frames_missed_by_a_hung_bus_are_counted_apart_from_those_of_a_busy_machine(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_frames_missed_by_a_hung_bus_are_counted_apart_from_those_of_a_busy_machine(board: Callable[..., Any]) -> None:
     """Two time-outs of 30 ms in a frame of 10 ms, then one more: 5 and 2 frames. 55 ms of a busy machine: 4 frames."""
-    array = an_array(A=0, G=0)
-    bus = HungBus(tapped(array).bus, 1)
-    done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=3)  # type: ignore[arg-type]
+    made = board(A=0, G=0)
+    made.bus = HungBus(made.bus.bus, 1)
+    done = made.record(seconds=3)
     assert (done.missed_by_bus, done.missed - done.missed_by_bus) == (7, 4)
-    with open_log(tmp_path / "r.h5") as log:
+    with made.log() as log:
         late = [event.message for event in log.events if event.kind == "late"]
         assert "missed: the bus did not answer in time" in late[0]
         assert "check the wires and pull-up resistors of the bus" in recording_verdict(log).sentence

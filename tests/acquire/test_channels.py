@@ -100,11 +100,8 @@ def test_witnesses_take_turns_and_the_matching_witness_is_stated(connected: Call
 
 
 @pytest.mark.slow
-def test_checking_channels_loses_no_reading(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
-) -> None:
-    array = an_array(A1=0, B1=0, G1=0, A2=1, B2=1, G2=1)
-    done = record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=3)
+def test_checking_channels_loses_no_reading(board: Callable[..., Any]) -> None:
+    done = board(A1=0, B1=0, G1=0, A2=1, B2=1, G2=1).record(seconds=3)
     assert sum(done.lost.values()) == done.late == done.missed == 0
 
 

@@ -118,14 +118,11 @@ def test_queues_give_every_sample_or_overrun(tmp_path: Path, chip: str, rate_hz:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([0.1, 1.0, 7.0, 9.0, 20.0], 1))
-def test_a_pressure_is_read_soon_after_its_conversion(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, rate_hz: float
-) -> None:
-    array = an_array(A=0, P=1, M=2)
-    bus = tapped(array)
-    record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=30 / rate_hz)
+def test_a_pressure_is_read_soon_after_its_conversion(board: Callable[..., Any], rate_hz: float) -> None:
+    made = board(A=0, P=1, M=2)
+    made.record(rate_hz, seconds=30 / rate_hz)
     begun_ns, ages_ns = 0, []
-    for call in bus.calls:
+    for call in made.bus.calls:
         if call.address == 0x77 and call.write == b"\xf4\xf4":
             begun_ns = call.at_ns
         if call.address == 0x77 and call.write == b"\xf4" and call.read == 5:
@@ -133,28 +130,26 @@ def test_a_pressure_is_read_soon_after_its_conversion(
     assert len(ages_ns) >= 9
     assert min(ages_ns) >= 25.5 * MS  # BMP-44
     assert max(ages_ns) <= (25.5 + 100) * MS
-    with open_log(tmp_path / "r.h5") as log:
+    with made.log() as log:
         assert len(log["P"]) == len(ages_ns)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([0.1, 0.5, 1.0, 50.0], 1))
 def test_no_row_waits_longer_than_the_limit(
-    an_array: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate_hz: float
+    board: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, rate_hz: float
 ) -> None:
     """The limit of the rows that a killed recording loses, and of the wait of a service's watchdog."""
     waits_s: list[float] = []
-    with open_bus("emulated:", an_array(A=0, G=0, P=1)) as bus:
-        begun_ns = bus.clock.now_ns()
-        append = LogWriter.append
+    made, append = board(A=0, G=0, P=1), LogWriter.append
+    begun_ns = made.bus.clock.now_ns()
 
-        def timed(writer: LogWriter, sensor: str, block: Block) -> None:
-            waits_s.append((bus.clock.now_ns() - begun_ns - int(block.time[0])) * 1e-9)
-            append(writer, sensor, block)
+    def timed(writer: LogWriter, sensor: str, block: Block) -> None:
+        waits_s.append((made.bus.clock.now_ns() - begun_ns - int(block.time[0])) * 1e-9)
+        append(writer, sensor, block)
 
-        monkeypatch.setattr(LogWriter, "append", timed)
-        seconds = max(60 / rate_hz, 60)
-        summary = record(an_array(A=0, G=0, P=1), bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=seconds)
+    monkeypatch.setattr(LogWriter, "append", timed)
+    summary = made.record(rate_hz, seconds=max(60 / rate_hz, 60))
     assert HELD_S == 10.0
     assert len(waits_s) > 30
     assert max(waits_s) <= HELD_S + 2 / rate_hz + 1.5
@@ -162,12 +157,11 @@ def test_no_row_waits_longer_than_the_limit(
 
 
 @pytest.mark.slow
-def test_a_frozen_chip_is_reported_at_one_frame_in_five_seconds(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_frozen_chip_is_reported_at_one_frame_in_five_seconds(board: Callable[..., Any]) -> None:
     """24 readings of one frame in five seconds take two minutes, and rows are written meanwhile."""
-    bus = tapped(an_array(A=0, G=0), "world=shaking&still_s=0.1&motion_s=900")
-    transfer, kept = bus.transfer, []
+    made = board("world=shaking&still_s=0.1&motion_s=900", A=0, G=0)
+    bus, kept = made.bus, []
+    transfer = bus.transfer
 
     def frozen(address: int, write: bytes = b"", read: int = 0) -> bytes:
         answer = transfer(address, write, read)
@@ -177,8 +171,8 @@ def test_a_frozen_chip_is_reported_at_one_frame_in_five_seconds(
         return bytes(answer)
 
     bus.transfer = frozen
-    record(an_array(A=0, G=0), bus, tmp_path / "r.h5", rate_hz=0.2, seconds=300)
-    with open_log(tmp_path / "r.h5") as log:
+    made.record(0.2, seconds=300)
+    with made.log() as log:
         event, end = [event for event in log.events if event.kind == "frozen"]
         status = np.asarray(log["G"].status[:])
     assert event.sensor == "G"
@@ -270,24 +264,20 @@ def test_a_microcontroller_at_one_frame_in_ten_seconds_is_not_reported_lost(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [0.1, 1.0, 5.0])
-def test_a_chip_that_is_set_up_again_loses_three_readings_at_most(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, rate_hz: float
-) -> None:
+def test_a_chip_that_is_set_up_again_loses_three_readings_at_most(board: Callable[..., Any], rate_hz: float) -> None:
     """A chip that lost its settings: a frame to see it twice, one to begin, and the next reading is good."""
-    array = an_array(A=0, G=0)
-    bus = tapped(array, "world=shaking&still_s=0.1&motion_s=900")
-    begun: list[int] = []
+    made = board("world=shaking&still_s=0.1&motion_s=900", A=0, G=0)
+    bus, begun = made.bus.bus, list[int]()
 
     def stopped() -> bool:
         begun.append(bus.clock.now_ns())
         if sum(at >= begun[0] + 40e9 / rate_hz for at in begun) == 1:
-            bus.bus.transfer(0x70, b"\x04")
-            bus.bus.transfer(0x68, b"\x20\x07")  # the data rate of its reset state (L3G-20)
+            bus.transfer(0x70, b"\x04")
+            bus.transfer(0x68, b"\x20\x07")  # the data rate of its reset state (L3G-20)
         return False
 
-    summary = record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=100 / rate_hz, stopped=stopped)
-    with open_log(tmp_path / "r.h5") as log:
-        status = np.asarray(log["G"].status[:])
+    summary = made.record(rate_hz, seconds=100 / rate_hz, stopped=stopped)
+    _, _, status = made.rows("G")
     assert summary.lost["A"] == 0
     assert 1 <= summary.lost["G"] <= 3
     (again,) = np.flatnonzero(status & 16)

@@ -47,18 +47,15 @@ def events_of(log: Any) -> list[tuple[str, str]]:
 
 
 @pytest.mark.slow
-def test_an_unplugged_sensor_is_polled_at_increasing_intervals(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
-) -> None:
-    array = an_array(A=0, B=0)
-    bus = tapped(array, "", lambda call: call.address == 0x40 and call.at_ns > 5 * SECOND)
-    done = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=60)
-    times = np.array([call.at_ns for call in bus.failed])
+def test_an_unplugged_sensor_is_polled_at_increasing_intervals(board: Callable[..., Any]) -> None:
+    made = board("", lambda call: call.address == 0x40 and call.at_ns > 5 * SECOND, A=0, B=0)
+    done = made.record(50, seconds=60)
+    times = np.array([call.at_ns for call in made.bus.failed])
     gaps = np.diff(times) / SECOND
     gaps = gaps[gaps > 0.05]  # at first it is read in every frame, and once more
     np.testing.assert_allclose(gaps[:6], [0.1, 0.2, 0.4, 0.8, 1.6, 3.2], atol=0.05)
     np.testing.assert_allclose(gaps[6:], 3.2, atol=0.05)
-    with open_log(tmp_path / "r.h5") as log:
+    with made.log() as log:
         assert len(log["A"]) == done.frames
         assert events_of(log) == [("B", "lost"), ("B", "lost")]
         assert log.events[1].message.startswith(f"in all {done.lost['B']} readings lost in ")
@@ -152,14 +149,11 @@ def test_a_reading_that_is_frozen_at_the_end_is_reported_once(
         assert not np.asarray(log["A"].status).any()
 
 
-def test_rows_without_a_later_check_are_suspect_at_the_end(
-    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_rows_without_a_later_check_are_suspect_at_the_end(board: Callable[..., Any]) -> None:
     """From 4 s on no configuration register can be read back, though readings arrive."""
-    array = an_array(B=0)
-    bus = tapped(array, "", lambda call: call.read == 1 and call.at_ns > 4 * SECOND)
-    record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=30)
-    with open_log(tmp_path / "r.h5") as log:
+    made = board("", lambda call: call.read == 1 and call.at_ns > 4 * SECOND, B=0)
+    made.record(50, seconds=30)
+    with made.log() as log:
         time, status = np.asarray(log["B"].time), np.asarray(log["B"].status)
         assert len(time) == 1500
         assert (status[time > 4 * SECOND] & SUSPECT).all()
