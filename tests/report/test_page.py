@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -14,37 +13,9 @@ from imuarray.errors import OutputExistsError
 from imuarray.report import Figure, Section, Table, write_page
 from imuarray.report.fused_page import ratio_figure
 from imuarray.studies.demo import drift_figure, motion_figure
+from tests.html_page import Page
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png>"
-VOID = {"meta", "img", "br", "hr", "link", "input"}
-
-
-class Page(HTMLParser):
-    """Every tag with its attributes, in order, and the text of headings; `open_tags` is empty if all were closed."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.headings: list[str] = []
-        self.open_tags: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open_tags.append(tag)
-            if tag in ("h1", "h2"):
-                self.headings.append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open_tags.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open_tags and self.open_tags[-1] in ("h1", "h2"):
-            self.headings[-1] += data
-
-    def attributes(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.tags if name == tag]
 
 
 def figures(name: str) -> list[Figure]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from html.parser import HTMLParser
 from math import nan
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from imuarray.report.validation_page import NO_FIGURES, markdown, write_validati
 from imuarray.validation.rates import Bin, RateEstimate
 from imuarray.validation.score_rows import Closure, Confusion, DetectionCurve, ScoreRow
 from imuarray.validation.scoring import Figures, format_row, score_folder
+from tests.html_page import Page
 from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, put, said
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\frac{$ `|` \x1b[2J"
@@ -37,48 +37,6 @@ ORDER = [
     "Closure",
     "Settings of the run",
 ]
-
-
-class Page(HTMLParser):
-    """Rows of text by section, the summary, alternative texts; `open_tags` is empty if all were closed."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.rows: dict[str, list[list[str]]] = {}
-        self.summary: list[str] = []
-        self.images: list[str] = []
-        self.marked: list[str] = []
-        self.open_tags: list[str] = []
-        self._heading = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "img"):
-            self.open_tags.append(tag)
-        if tag == "h2":
-            self._heading = ""
-        elif tag == "tr":
-            self.rows.setdefault(self._heading, []).append([])
-        elif tag in ("th", "td"):
-            self.rows[self._heading][-1].append("")
-        elif tag == "img":
-            self.images.append(dict(attrs)["alt"] or "")
-        elif tag == "li" and self.open_tags[-3:-1] == ["main", "ul"]:
-            self.summary.append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open_tags.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open_tags[-1:] == ["mark"]:
-            self.marked.append(data)
-        if "h2" in self.open_tags:
-            self._heading += data
-            self.rows.setdefault(self._heading, [])
-        elif {"th", "td"} & set(self.open_tags):
-            self.rows[self._heading][-1][-1] += data
-        elif self.open_tags[-1:] == ["li"] and "nav" not in self.open_tags:
-            self.summary[-1] += data
 
 
 def filled(made: Made, name: str = "mains_ripple", effect: str = "tone") -> Figures:
@@ -165,12 +123,12 @@ def test_settings_of_the_run_are_listed(page: Page) -> None:
 
 
 def test_plots_have_descriptions(page: Page) -> None:
-    assert len(page.images) == 5
-    assert "full 5 %" in page.images[0]
-    assert "All plans: 2 limits 0 %, 5 limits 100 %" in page.images[1]
-    assert "Most often wrong: nothing wrong taken for tone: 2" in page.images[2]
-    assert "0.8 to 0.9: 0.900 of 10" in page.images[3]
-    assert "9 with the right cause first, 10 in all" in page.images[4]
+    assert len(page.alternatives) == 5
+    assert "full 5 %" in page.alternatives[0]
+    assert "All plans: 2 limits 0 %, 5 limits 100 %" in page.alternatives[1]
+    assert "Most often wrong: nothing wrong taken for tone: 2" in page.alternatives[2]
+    assert "0.8 to 0.9: 0.900 of 10" in page.alternatives[3]
+    assert "9 with the right cause first, 10 in all" in page.alternatives[4]
 
 
 @pytest.mark.slow
@@ -181,7 +139,7 @@ def test_names_are_escaped(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert "<script" not in text and "<img src=http" not in text
     page = Page(text)
-    assert page.open_tags == [] and len(page.images) == 5
+    assert page.open_tags == [] and len(page.alternatives) == 5
     lines = markdown(hostile, EVIL, EVIL).splitlines()
     outside = [line for line in lines if "alert" in line and line != EVIL]
     assert outside and not any("<" in line for line in outside)
@@ -196,7 +154,7 @@ def test_without_matplotlib_the_page_has_only_tables(
     path = tmp_path / "page.html"
     write_validation_page(path, figures, command=COMMAND)
     bare = Page(path.read_text(encoding="utf-8"))
-    assert bare.images == [] and bare.summary == [*page.summary, NO_FIGURES]
+    assert bare.alternatives == [] and bare.summary == [*page.summary, NO_FIGURES]
     assert bare.rows == page.rows
 
 
@@ -204,7 +162,7 @@ def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
     score = score_folder(Made(tmp_path / "run", plan={}).folder)
     write_validation_page(tmp_path / "page.html", score)
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
-    assert page.images == [] and list(page.rows) == ORDER
+    assert page.alternatives == [] and list(page.rows) == ORDER
     assert page.summary[0] == "22 figures have no cases."
     assert [row[0] for row in page.rows["Figures and their bars"][:2]] == ["figure", "figure"]  # no empty rows
     assert "nan" not in (tmp_path / "page.html").read_text(encoding="utf-8").split("<main>")[1]

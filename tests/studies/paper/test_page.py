@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-from html.parser import HTMLParser
 from math import inf
 from pathlib import Path
 from typing import NamedTuple
@@ -24,48 +23,7 @@ from imuarray.studies.paper.figures import accelerometer_figure, gyro_memory_fig
 from imuarray.studies.paper.page import NO_FIGURES, PrintedNumber, line_of, recomputed_text, write_paper_page
 from imuarray.studies.paper.replica import Curves, ExperimentData, Replica, Statistic, compare, curves_of, observe
 from imuarray.studies.paper.tables import Cell
-
-
-class Tables(HTMLParser):
-    """Rows of text by section heading; `open_tags` is empty if all were closed."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.rows: dict[str, list[list[str]]] = {}
-        self.summary: list[str] = []
-        self.images: list[str] = []
-        self.marked = 0
-        self.open_tags: list[str] = []
-        self._heading = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "img"):
-            self.open_tags.append(tag)
-        if tag == "h2":
-            self._heading = ""
-        elif tag == "tr":
-            self.rows.setdefault(self._heading, []).append([])
-        elif tag in ("th", "td"):
-            self.rows[self._heading][-1].append("")
-        elif tag == "img":
-            self.images.append(dict(attrs)["alt"] or "")
-        self.marked += tag == "mark"
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open_tags.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if "h2" in self.open_tags:
-            self._heading += data
-        elif {"th", "td"} & set(self.open_tags):
-            self.rows[self._heading][-1][-1] += data
-        elif "li" in self.open_tags and "a" not in self.open_tags:
-            self.summary.append(data)
-
-    def of(self, start: str) -> list[list[str]]:
-        """The rows of the section whose heading begins with `start`."""
-        return next(rows for heading, rows in self.rows.items() if heading.startswith(start))
+from tests.html_page import Page
 
 
 class Made(NamedTuple):
@@ -86,12 +44,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.fixture(scope="module")
-def page(made: Made) -> Tables:
-    return Tables(made.text)
+def page(made: Made) -> Page:
+    return Page(made.text)
 
 
 @pytest.mark.slow
-def test_the_page_has_no_external_resources_and_closes_every_tag(made: Made, page: Tables) -> None:
+def test_the_page_has_no_external_resources_and_closes_every_tag(made: Made, page: Page) -> None:
     without_images = re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", made.text)
     assert "//" not in without_images and "url(" not in without_images
     assert "<script" not in made.text
@@ -101,18 +59,18 @@ def test_the_page_has_no_external_resources_and_closes_every_tag(made: Made, pag
 
 
 @pytest.mark.slow
-def test_the_page_has_every_statistic_and_marks_large_deviations(made: Made, page: Tables) -> None:
+def test_the_page_has_every_statistic_and_marks_large_deviations(made: Made, page: Page) -> None:
     """Table 11 has no column in another unit: a row per statistic; marks are for |z| > 2 only."""
     rows = page.of("Table 11")
     assert rows[0] == ["channel", "statistic", "paper", "recomputed", "simulated", "difference", "z"]
     assert len(rows) - 1 == 34 * 11
     assert len(page.of("Table 10")) - 1 == 34 * 9
-    assert page.marked == sum(abs(row.z) > 2 for row in made.replica.statistics)
+    assert len(page.marked) == sum(abs(row.z) > 2 for row in made.replica.statistics)
     assert [row[:3] for row in rows[1:]][:2] == [["ADXL1 x", "runs_mean", "12.453"], ["ADXL1 x", "runs_sem", "0.047"]]
 
 
 @pytest.mark.slow
-def test_numbers_have_their_printed_digits(page: Tables) -> None:
+def test_numbers_have_their_printed_digits(page: Page) -> None:
     """Also zeros at the end (Table 2: 0.1240), and scale factors without their sign (Table 3: -261.38)."""
     two = {(row[0], row[1]): row[2:] for row in page.of("Table 2")}
     assert two["Gyro1 x 250dps", "mean_dps"] == ["0.1240", "0.1240", "–", "–", "–"]
@@ -126,7 +84,7 @@ def test_numbers_have_their_printed_digits(page: Tables) -> None:
 
 
 @pytest.mark.slow
-def test_difference_and_z_of_a_row_by_hand(made: Made, page: Tables) -> None:
+def test_difference_and_z_of_a_row_by_hand(made: Made, page: Page) -> None:
     (found,) = (row for row in made.replica.of("Table 8") if (row.channel, row.statistic[:5]) == ("Gyro1 y", "slope"))
     (row,) = (row for row in page.of("Table 8") if row[:2] == ["Gyro1 y", "slope_lsb_per_degc"])
     assert row[2] == "0.265"
@@ -135,7 +93,7 @@ def test_difference_and_z_of_a_row_by_hand(made: Made, page: Tables) -> None:
 
 
 @pytest.mark.slow
-def test_opposed_gyroscopes_have_a_small_fused_slope(page: Tables) -> None:
+def test_opposed_gyroscopes_have_a_small_fused_slope(page: Page) -> None:
     """0.002 LSB/degC by Table 8; simulated slopes are known to about 0.008 (in-run wander), so the half-difference to
     0.006: five of that.
     """
@@ -146,7 +104,7 @@ def test_opposed_gyroscopes_have_a_small_fused_slope(page: Tables) -> None:
 
 
 @pytest.mark.slow
-def test_the_summary_states_the_results(made: Made, page: Tables) -> None:
+def test_the_summary_states_the_results(made: Made, page: Page) -> None:
     whole = made.replica.summary
     text = " ".join(page.summary)
     assert f"Of the {whole.count} statistics, simulated with seed 1, {whole.within[0]} (" in text
@@ -172,9 +130,9 @@ def test_only_the_overview_is_open(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_figures_are_next_to_their_tables(page: Tables) -> None:
-    assert len(page.images) == 10
-    assert all(page.images)
+def test_figures_are_next_to_their_tables(page: Page) -> None:
+    assert len(page.alternatives) == 10
+    assert all(page.alternatives)
     assert NO_FIGURES not in page.summary
 
 
@@ -182,8 +140,8 @@ def test_figures_are_next_to_their_tables(page: Tables) -> None:
 def test_a_page_without_curves_states_it(made: Made, tmp_path: Path) -> None:
     path = tmp_path / "paper.html"
     write_paper_page(path, made.replica, None)
-    bare = Tables(path.read_text(encoding="utf-8"))
-    assert bare.images == []
+    bare = Page(path.read_text(encoding="utf-8"))
+    assert bare.alternatives == []
     assert bare.summary[-1] == NO_FIGURES
     with pytest.raises(OutputExistsError):
         write_paper_page(path, made.replica, None)
@@ -292,7 +250,7 @@ def test_the_command_works_without_matplotlib_and_jinja2(
     monkeypatch.setattr(paper_files, "find_spec", lambda name: None)
     assert main(["paper", "--replica", "-o", str(tmp_path)]) == 0
     assert "matplotlib" in capsys.readouterr().err
-    assert NO_FIGURES in Tables((tmp_path / "paper.html").read_text(encoding="utf-8")).summary
+    assert NO_FIGURES in Page((tmp_path / "paper.html").read_text(encoding="utf-8")).summary
 
     def missing(*_: object, **__: object) -> None:
         raise MissingExtraError("jinja2", "report")
