@@ -1,29 +1,17 @@
 """A bench for one emulated BMA180: a sensing element that records requests, and reads and writes at chosen times."""
 
 from firmware_emulator.chips.bma180 import Bma180Chip
+from tests.emulator.chip_bench import MS, KnownElement
 
-MS = 1_000_000
 BYTE_NS = 22_500  # 9 clocks at 400 kHz
 LATER = 100 * MS  # booted and settled at 150 Hz
 
 
-class Box:
-    """A sensing element at rest, or moving by `slope` g/s; records each request."""
+class Box(KnownElement):
+    """A box at rest, or moving by `slope` g/s."""
 
-    def __init__(self, g=(0.0, 0.0, 1.0), degc=25.0, slope=(0.0, 0.0, 0.0)):
-        self.g, self.degc, self.slope = g, degc, slope
-        self.asked = []
-
-    def sample(self, at_ns, full_scale, bandwidth_hz):
-        self.asked.append((at_ns, full_scale, bandwidth_hz))
-        x, y, z = (g + slope * at_ns * 1e-9 for g, slope in zip(self.g, self.slope, strict=True))
-        return x, y, z
-
-    def temperature(self, at_ns):
-        return self.degc
-
-    def pressure(self, at_ns):
-        return 101325.0
+    def __init__(self, g=(0.0, 0.0, 1.0), **options):
+        super().__init__(g, **options)
 
 
 def poke(chip, *pairs, at=LATER):

@@ -139,7 +139,7 @@ def test_sleep_freezes_data_and_refuses_writes():
     box = Box()
     chip = unlocked(box)
     poke(chip, 0x0D, 0x12)
-    box.g = (1.0, 1.0, 1.0)
+    box.value = (1.0, 1.0, 1.0)
     poke(chip, 0x35, 0x0C, at=LATER + MS)
     assert codes(chip, at=2 * LATER) == (0, 0, 4096)
     poke(chip, 0x0D, 0x10, at=2 * LATER)

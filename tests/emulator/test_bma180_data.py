@@ -152,7 +152,7 @@ def test_the_shadow_keeps_low_and_high_byte_together():
     box = Box((63 / 4096, 0.0, 0.0))
     chip = Bma180Chip(0x40, box)
     assert chip.load(0x02, LATER) == 0xFD
-    box.g = (64 / 4096, 0.0, 0.0)
+    box.value = (64 / 4096, 0.0, 0.0)
     assert chip.load(0x03, LATER + PERIOD_NS) == 0x00
     assert chip.load(0x03, LATER + 9 * PERIOD_NS) == 0x00  # high bytes alone: the old shadow for ever, BMA-100
     assert chip.load(0x02, LATER + 9 * PERIOD_NS) == 0x00  # and the flag was cleared by them
@@ -165,7 +165,7 @@ def test_without_shadow_a_value_is_torn():
     poke(chip, 0x33, 0x81)
     chip.write(b"\x02", 2 * LATER, BYTE_NS)
     low = chip.read(1, 2 * LATER, BYTE_NS)
-    box.g = (64 / 4096, 0.0, 0.0)
+    box.value = (64 / 4096, 0.0, 0.0)
     high = chip.read(1, 2 * LATER + PERIOD_NS, BYTE_NS)
     assert (low + high).hex() == "fd01"  # 127: neither 63 nor 64, BMA-101
 
@@ -203,7 +203,7 @@ def test_unauthorised_codes_stop_the_converter(register, value):
     chip = unlocked(box)
     codes(chip)
     poke(chip, register, value)
-    box.g = (1.0, 1.0, 1.0)
+    box.value = (1.0, 1.0, 1.0)
     assert peek(chip, 0x02, 6, at=2 * LATER) == bytes.fromhex("0000 0000 0040")
 
 
@@ -226,7 +226,7 @@ def test_the_high_pass_removes_gravity():
     poke(chip, 0x20, 0x88)
     assert codes(chip, at=LATER + MS)[2] > 4000
     assert abs(codes(chip, at=LATER + 1978 * PERIOD_NS)[2]) < 0.02 * 4096  # BMA-89
-    box.g = (0.0, 0.0, 1.5)
+    box.value = (0.0, 0.0, 1.5)
     assert abs(codes(chip, at=LATER + 1980 * PERIOD_NS)[2] - 2048) < 0.02 * 4096
 
 

@@ -6,32 +6,20 @@ from hypothesis import strategies as st
 
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips.l3g4200d import L3g4200dChip, path_of
+from tests.emulator.chip_bench import MS, KnownElement
 from tests.selection import examples
 
-MS = 1_000_000
 BYTE_NS = 22_500  # 9 clocks at 400 kHz
 SWITCH_ON = 10 * MS
 READY = SWITCH_ON + 300 * MS  # L3G-65
 ODR_100, ODR_400 = 0x0F, 0x8F
 
 
-class Table:
-    """A rate table: constant rates, growing by `slope` dps/s; records each request."""
+class Table(KnownElement):
+    """A rate table."""
 
-    def __init__(self, dps=(100.0, -100.0, 0.0), degc=25.0, slope=(0.0, 0.0, 0.0)):
-        self.dps, self.degc, self.slope = dps, degc, slope
-        self.asked = []
-
-    def sample(self, at_ns, full_scale, bandwidth_hz):
-        self.asked.append((at_ns, full_scale, bandwidth_hz))
-        x, y, z = (dps + slope * at_ns * 1e-9 for dps, slope in zip(self.dps, self.slope, strict=True))
-        return x, y, z
-
-    def temperature(self, at_ns):
-        return self.degc
-
-    def pressure(self, at_ns):
-        return 101325.0
+    def __init__(self, dps=(100.0, -100.0, 0.0), **options):
+        super().__init__(dps, **options)
 
 
 def poke(chip, register, *values, at=SWITCH_ON):
@@ -145,7 +133,7 @@ def test_power_down_holds_the_last_value():
     chip = running(table, temperature_zero=50)
     first = peek(chip, 0x26, 8)
     poke(chip, 0x20, 0x07, at=READY + MS)
-    table.dps, table.degc = (1.0, 2.0, 3.0), 30.0
+    table.value, table.degc = (1.0, 2.0, 3.0), 30.0
     later = peek(chip, 0x26, 8, at=READY + 5000 * MS)
     assert (later[0], later[2:]) == (first[0], first[2:])
     assert later[1] == 0
@@ -200,7 +188,7 @@ def test_block_data_update_keeps_two_bytes_together(ctrl4, second):
     chip = running(table, ctrl4=ctrl4)
     chip.write(b"\xa8", READY, BYTE_NS)
     assert chip.read(1, READY, BYTE_NS) == b"\xff"
-    table.dps = (256 * 0.00875, 0.0, 0.0)
+    table.value = (256 * 0.00875, 0.0, 0.0)
     assert chip.read(1, READY + 10 * MS, BYTE_NS)[0] == second  # 0x00FF, or 0x01FF torn: L3G-50
     assert peek(chip, 0x28, 2, at=READY + 10 * MS) == b"\x00\x01"
 
@@ -209,7 +197,7 @@ def test_with_block_data_update_a_half_read_value_stays():
     table = Table((1.0, 1.0, 1.0))
     chip = running(table)
     low = peek(chip, 0x28)
-    table.dps = (2.0, 2.0, 2.0)
+    table.value = (2.0, 2.0, 2.0)
     assert peek(chip, 0x28, at=READY + 500 * MS) == low  # L3G-51
     assert peek(chip, 0x2A, at=READY + 500 * MS) == bytes((229,))  # other axes go on: 2 dps / 8.75 mdps
 
@@ -228,7 +216,7 @@ def test_axes_that_are_off_keep_their_value():
     chip = running(table)
     codes(chip)
     poke(chip, 0x20, 0x0D, at=READY)
-    table.dps = (2.0, 2.0, 2.0)
+    table.value = (2.0, 2.0, 2.0)
     assert peek(chip, 0x27, at=READY + 10 * MS) == b"\x05"
     assert codes(chip, at=READY + 10 * MS) == (229, 114, 229)
 

@@ -7,46 +7,21 @@ from itertools import pairwise
 import pytest
 
 from firmware_emulator.chips.mpu6050 import Mpu6050Chip
-from firmware_emulator.clock import VirtualClock
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE
-from firmware_emulator.wire import Wire
+from tests.emulator.chip_bench import ChipBench, KnownElement
 
-MS = 1_000_000
-
-
-class Ramp:
-    """An element whose x is the time in seconds."""
-
-    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> tuple[float, float, float]:
-        return at_ns * 1e-9, 0.0, 0.0
-
-    def temperature(self, at_ns: int) -> float:
-        return 35.0
-
-    def pressure(self, at_ns: int) -> float:
-        return 101325.0
+RAMP = KnownElement((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), degc=35.0)
+"""Its x is the time in seconds."""
 
 
-class Bench:
-    """A chip with both elements, awake at 1 kHz with its 184 Hz filter, on a separate wire."""
+class Bench(ChipBench):
+    """A chip with both elements, awake at 1 kHz with its 184 Hz filter, on a wire of its own."""
 
     def __init__(self) -> None:
-        self.clock = VirtualClock()
-        self.wire = Wire(self.clock)
-        self.chip = Mpu6050Chip(0x68, {ACCELEROMETER: Ramp()}, 0)
-        self.chip.take_element(GYROSCOPE, Ramp())
-        self.wire.connect(self.chip)
-        self.write(0x6B, 0x01)
-        self.write(0x1A, 0x01)
-
-    def write(self, register: int, value: int) -> None:
-        self.wire.transfer(0x68, bytes([register, value]))
-
-    def read(self, register: int, count: int = 1) -> bytes:
-        return self.wire.transfer(0x68, bytes([register]), count)
-
-    def wait(self, ms: float) -> None:
-        self.clock.sleep_until(self.clock.now_ns() + round(ms * MS))
+        self.die = Mpu6050Chip(0x68, {ACCELEROMETER: RAMP}, 0)
+        self.die.take_element(GYROSCOPE, RAMP)
+        super().__init__(self.die)
+        self.write(0x6B, 0x01, 0x1A, 0x01)
 
 
 def word(data: bytes, at: int = 0) -> int:
@@ -60,7 +35,7 @@ def bench() -> Bench:
 
 def test_a_second_element_for_a_half_is_refused(bench: Bench) -> None:
     with pytest.raises(ValueError, match="two sensors are the gyroscope"):
-        bench.chip.take_element(GYROSCOPE, Ramp())
+        bench.die.take_element(GYROSCOPE, RAMP)
 
 
 @pytest.mark.parametrize(("filter_code", "divider", "period_ms"), [(1, 9, 10.0), (0, 79, 10.0), (1, 199, 200.0)])

@@ -7,50 +7,25 @@ from itertools import pairwise
 
 import pytest
 
-from firmware_emulator.chip import Triple
 from firmware_emulator.chips import DIES
 from firmware_emulator.chips.icm42688 import Icm42688Chip
 from firmware_emulator.chips.lsm6dso import Lsm6dsoChip
 from firmware_emulator.chips.mpu6500 import Mpu6500Chip
-from firmware_emulator.clock import VirtualClock
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, SampleGrid, SixAxis
-from firmware_emulator.wire import Wire
-
-MS = 1_000_000
+from tests.emulator.chip_bench import MS, ChipBench, KnownElement
 
 
-class Ramp:
+def ramp(per_second: float = 1.0) -> KnownElement:
     """An element whose input is `per_second` times the time in seconds along each axis."""
-
-    def __init__(self, per_second: float = 1.0) -> None:
-        self.per_second = per_second
-
-    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        return (at_ns * 1e-9 * self.per_second,) * 3
-
-    def temperature(self, at_ns: int) -> float:
-        return 25.0
-
-    def pressure(self, at_ns: int) -> float:
-        return 101325.0
+    return KnownElement((0.0, 0.0, 0.0), (per_second,) * 3)
 
 
-class Bench:
-    """A chip with both elements on a separate wire, after some writes."""
-
-    def __init__(self, chip: SixAxis, *writes: str) -> None:
-        self.clock = VirtualClock()
-        self.wire = Wire(self.clock, 100_000)
-        self.chip = chip
-        self.wire.connect(chip)
-        for text in writes:
-            self.wire.transfer(chip.address, bytes.fromhex(text))
-
-    def read(self, register: int, count: int) -> bytes:
-        return self.wire.transfer(self.chip.address, bytes([register]), count)
-
-    def wait(self, ms: float) -> None:
-        self.clock.sleep_until(self.clock.now_ns() + round(ms * MS))
+def bench_of(chip: SixAxis, *writes: str) -> ChipBench:
+    """A chip on a slow wire, after some writes."""
+    bench = ChipBench(chip, 100_000)
+    for text in writes:
+        bench.write(*bytes.fromhex(text))
+    return bench
 
 
 def words(data: bytes, order: str) -> list[int]:
@@ -60,9 +35,9 @@ def words(data: bytes, order: str) -> list[int]:
     ]
 
 
-def lsm6dso(control: str) -> Bench:
+def lsm6dso(control: str) -> ChipBench:
     """1666 Hz at 2 g, on a ramp of 39 counts a sample, so that a byte carries at every seventh."""
-    return Bench(Lsm6dsoChip(0x6A, {ACCELEROMETER: Ramp(4.0)}), control, "1080")
+    return bench_of(Lsm6dsoChip(0x6A, {ACCELEROMETER: ramp(4.0)}), control, "1080")
 
 
 @pytest.mark.parametrize(("control", "torn"), [("1204", True), ("1244", False)])
@@ -82,12 +57,12 @@ def test_without_block_update_the_bytes_of_a_number_are_of_two_samples(control: 
 @pytest.mark.parametrize(
     ("bench", "register", "order", "delay_s"),
     [
-        (lambda: Bench(Icm42688Chip(0x68, {ACCELEROMETER: Ramp()}), "5066", "4e0f"), 0x1F, ">", 0.0),
-        (lambda: Bench(Mpu6500Chip(0x68, {ACCELEROMETER: Ramp()}), "1a01"), 0x3B, ">", 1.94e-3),
+        (lambda: bench_of(Icm42688Chip(0x68, {ACCELEROMETER: ramp()}), "5066", "4e0f"), 0x1F, ">", 0.0),
+        (lambda: bench_of(Mpu6500Chip(0x68, {ACCELEROMETER: ramp()}), "1a01"), 0x3B, ">", 1.94e-3),
     ],
     ids=["icm42688", "mpu6500"],
 )
-def test_a_burst_is_of_one_instant(bench: Callable[[], Bench], register: int, order: str, delay_s: float) -> None:
+def test_a_burst_is_of_one_instant(bench: Callable[[], ChipBench], register: int, order: str, delay_s: float) -> None:
     """TDK-12, DEC-60, INV-75: at 100 kHz six bytes take half a millisecond, and a sample comes each millisecond. It is
     the input of the chip one filter delay earlier (INV-79).
     """
@@ -103,9 +78,9 @@ def test_a_burst_is_of_one_instant(bench: Callable[[], Bench], register: int, or
 
 def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
     """LSM-11, LSM-15: the accelerometer at 104 Hz, the gyroscope at 416 Hz."""
-    chip = Lsm6dsoChip(0x6A, {ACCELEROMETER: Ramp()})
-    chip.take_element(GYROSCOPE, Ramp(20.0))
-    bench = Bench(chip, "1244", "1040", "1160")
+    chip = Lsm6dsoChip(0x6A, {ACCELEROMETER: ramp()})
+    chip.take_element(GYROSCOPE, ramp(20.0))
+    bench = bench_of(chip, "1244", "1040", "1160")
     fresh = [0, 0]
     for _ in range(400):
         bench.wait(0.1)
@@ -122,7 +97,7 @@ def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
 def test_the_stall_of_an_icm_42688_lasts_2_ms_and_repeats_at_each_crossing() -> None:
     """TDK-18, DEC-63: a ramp of 1000 dps a second passes 100 dps once; 1 kHz, 2000 dps."""
     for control, held in (("4d91", True), ("4d51", False)):
-        bench = Bench(Icm42688Chip(0x68, {GYROSCOPE: Ramp(1000.0)}), control, "4e0c")
+        bench = bench_of(Icm42688Chip(0x68, {GYROSCOPE: ramp(1000.0)}), control, "4e0c")
         readings = []
         while bench.clock.now_ns() < 130 * MS:
             bench.wait(0.5)
@@ -150,7 +125,7 @@ def test_samples_fall_on_the_grid() -> None:
 
 @pytest.mark.parametrize("name", DIES)
 def test_a_second_element_for_a_half_is_refused(name: str) -> None:
-    chip = DIES[name].build(0x68, {ACCELEROMETER: Ramp()})
-    chip.take_element(GYROSCOPE, Ramp())
+    chip = DIES[name].build(0x68, {ACCELEROMETER: ramp()})
+    chip.take_element(GYROSCOPE, ramp())
     with pytest.raises(ValueError, match="two sensors are the gyroscope"):
-        chip.take_element(GYROSCOPE, Ramp())
+        chip.take_element(GYROSCOPE, ramp())
