@@ -136,29 +136,6 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
             typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
         ),
     ),
-    "mpu9250_acc": (
-        4.0,
-        (
-            typical("bias", "offset", 60 * MG)._replace(axes=(0, 1)),  # INV-81
-            typical("bias", "offset", 80 * MG)._replace(axes=(2,)),
-            typical("thermal_bias", "slope", 1.5 * MG),  # INV-82
-            typical("scale", "error", 3 * PERCENT),  # INV-83
-            typical("thermal_scale", "slope", 0.026 * PERCENT),
-            typical("nonlinearity", "quadratic", 2 * 0.5 * PERCENT / 4),  # INV-84
-            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
-        ),
-    ),
-    "mpu9250_gyro": (
-        500.0,
-        (
-            typical("bias", "offset", 5.0),  # INV-91
-            typical("thermal_bias", "slope", 30.0 / (25 + 40)),  # INV-92
-            typical("scale", "error", 3 * PERCENT),  # INV-93
-            typical("thermal_scale", "slope", 4 * PERCENT / (25 + 40)),
-            typical("nonlinearity", "quadratic", 2 * 0.1 * PERCENT / 500),  # INV-94
-            typical("misalignment", "angles_deg", degrees(atan(0.02)))._replace(axes=tuple(range(6))),
-        ),
-    ),
     "icm42688_acc": (
         4.0,
         (
@@ -252,6 +229,7 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
         ),
     ),
 }
+SHEETS |= {f"mpu9250_{half}": SHEETS[f"mpu6500_{half}"] for half in ("acc", "gyro")}  # INV-81 ... INV-94 hold for both
 
 
 def drawn(header: SensorHeader, effect: str, parameter: str, unit: int) -> Floats:
