@@ -37,6 +37,8 @@ ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25
 READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.acquire.bus_segment", "firmware_emulator.board")
+FAMILIES = ("imuarray.drivers.", "firmware_emulator.chips.")
+"""Packages with modules of several chips, which are named after none of them."""
 INERT: dict[tuple[str, str, str], str] = {
     ("bma180", "CTRL_REG0 reset", "0x00 -> 0x20"): "update_image clears itself when the download of power-on ends",
     ("icm42688", "DEVICE_CONFIG reset", "0x00 -> 0x01"): "SOFT_RESET clears itself when the reset of power-on ends",
@@ -195,12 +197,15 @@ def _install(mutant: Mutant, package: ModuleType) -> ModuleType:
     name = f"imuarray.facts.{mutant.chip}"
     facts = ModuleType(name)
     exec(compile(mutant.source, name, "exec"), vars(facts))  # noqa: S102 - our own table, mutated
+    right = sys.modules.get(name)
     stale = (f"imuarray.drivers.{mutant.chip}", f"firmware_emulator.chips.{mutant.chip}")
     whole = {*READERS}
     if mutant.fact.startswith("ADDRESSES"):
         whole |= {"imuarray.chips", "imuarray.array"}
-    for loaded in [loaded for loaded in sys.modules if loaded in whole or loaded.startswith(stale)]:
-        del sys.modules[loaded]
+    for loaded, module in list(sys.modules.items()):
+        reads = loaded.startswith(FAMILIES) and any(value is right for value in vars(module).values())
+        if reads or loaded in whole or loaded.startswith(stale):
+            del sys.modules[loaded]
     sys.modules[name] = facts
     setattr(package, mutant.chip, facts)
     return facts
