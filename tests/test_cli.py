@@ -236,6 +236,8 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info", "none.h5"), "none.h5: no such file"),
     (("info", "folder"), "folder: is a folder"),
     (("info", "one.toml"), "one.toml: is not an HDF5 file"),
+    (("monitor", "folder", "--text"), "folder: is a folder"),
+    (("characterise", "x.csv", "-o", "one.toml"), "one.toml: is a file; the output must be a folder"),
     (("info", "/dev/null"), "/dev/null: is a device or a pipe"),
     (("import", "x.npz", "--guess"), "x.npz: does not begin as .npz files do"),
     (("import", "large.npy", "--guess"), "its header states an array of 800000000000 bytes, the file has 144"),

@@ -116,6 +116,8 @@ def command(options: MonitorOptions) -> None:
     """
     if options.run.is_file() and options.run.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{options.run}: is not a log; allowed is an HDF5 file (.h5) that is written or will be")
+    if options.run.is_dir():
+        raise click.UsageError(f"{options.run}: is a folder; a log is a file")
     calibration = _calibration(options.calibration)
     if options.once and not (options.as_text or options.as_json):
         raise click.UsageError("--once needs --text or --json")

@@ -61,6 +61,8 @@ def _explained(error: click.ClickException) -> str:
         number = "a number" if isinstance(kind, click.FloatRange) else "a whole number"
         ends = f"{'' if kind.min is None else f' from {kind.min:g}'}{'' if kind.max is None else f' to {kind.max:g}'}"
         return re.sub(r"is not a valid (float|integer) range\.", f"is not {number}{ends}", text)
+    if isinstance(kind, click.Path) and (file := re.search(r"Directory '(.*)' is a file", text)):
+        return f"{file[1]}: is a file; the output must be a folder"
     if isinstance(kind, click.Choice) and (wrong := re.search(r"'([^']*)' is not one of ", text)):
         return text.removesuffix(".") + guess(wrong[1], map(str, kind.choices))
     return text
