@@ -77,7 +77,7 @@ def doubt_sections(log: Log, doubts: Sequence[str]) -> Iterator[Section]:
         " line, before you use the figures below."
     )
     rows = [[where, what] for where, _, what in (text.partition(": ") for text in doubts)]
-    parts = [Table(["where", "what is doubtful"], rows, "The doubts that `imuarray import` prints.", (1,))]
+    parts = [Table(["where", "what is doubtful"], rows, "The doubts that the import of this log printed.", (1,))]
     yield Section(f"{log.path.name}: what is doubtful", words, parts)
 
 

@@ -83,8 +83,13 @@ def doubted(verdict: Verdict, doubts: Sequence[str]) -> Verdict:
         return verdict
     level: Level = "doubtful" if verdict.level == "good" else verdict.level
     others = "" if len(doubts) == 1 else ", for example"
-    sentence = f"{verdict.sentence} {counted(len(doubts), 'doubt')} about the import{others}: {doubts[0]}"
+    health = verdict.sentence.replace(" is healthy: ", " is complete: ", 1)
+    number = f"{_ARE[len(doubts) == 1]} {counted(len(doubts), 'doubt')}"
+    sentence = f"{health} But there {number} about it{others}: {doubts[0]}"
     return replace(verdict, sentence=sentence, level=level)
+
+
+_ARE = {True: "is", False: "are"}
 
 
 def _silent(log: Log, ends_ns: tuple[int, int]) -> dict[str, float]:

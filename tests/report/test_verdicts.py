@@ -243,8 +243,8 @@ def test_doubts_about_an_import_are_in_the_verdict_and_first_on_the_page(tmp_pat
     (verdict,) = part.verdicts
     assert verdict.level == "doubtful"
     assert verdict.sentence == (
-        "run.h5 is healthy: the sensor delivers, no frame was missed, no fault reported. 1 doubt about the import: Acc:"
-        " xyz is always 1, 1, 1"
+        "run.h5 is complete: the sensor delivers, no frame was missed, no fault reported. But there is 1 doubt about"
+        " it: Acc: xyz is always 1, 1, 1"
     )
     assert part.sections[0].title == "run.h5: what is doubtful"
     table = part.sections[0].parts[0]
