@@ -1,9 +1,9 @@
 """Attitude of a box that was put down by hand, estimated from the array's own accelerometers.
 
-In every pose the specific force is one g long and the same for all accelerometers. Poses in many directions therefore
-separate the bias that the accelerometers have in common from the direction, if the scale is taken as nominal. The
-result is an estimate with the array's own noise and errors in it, so a comparison has to estimate the direction in
-simulated logs as well, although it is known there.
+In every pose the specific force has a length of 1 g and is the same for all accelerometers. Poses in many directions
+therefore separate the bias that the accelerometers have in common from the direction, if the scale is assumed to be
+nominal. The estimate contains the array's own noise and errors. A comparison therefore has to estimate the direction in
+simulated logs in the same way, although it is known there.
 """
 
 from __future__ import annotations
@@ -17,38 +17,41 @@ from imuarray.arrays import Booleans, Floats
 from imuarray.log.format import Phase
 
 GROSS_G = 0.25
-"""An accelerometer that differs from the median of all by so much in any pose is left out of the mean: wrong range,
-swapped axis, dead chip.
+"""Difference from the median of all accelerometers, in g on any axis in any pose, from which on an accelerometer is
+left out of the array's mean. Its range is wrong, its axes are exchanged, or the chip is dead.
 """
 
 _OFF_FACE_G = 0.5
-"""An accelerometer that differs by so much from a noted face has exchanged axes: a tilt of 30 degrees is none."""
+"""Difference from a noted face, in g, from which on axes are exchanged. A box on a noted face is never tilted by 30
+degrees.
+"""
 
 LEAN_SIGMA, SCALE_PRIOR, _FORM_G = 0.02, 0.02, 1e-3
-"""Standard deviations: the tilt of a box on a noted face in radians, the scale error of the array's mean reading, and
-the error of a length in g.
+"""Standard deviations of the tilt of a box on a noted face (radians), of the scale error of the array's mean reading,
+and of the error of a length (g).
 """
 
 _STEPS = 5
-"""Gauss-Newton steps. Each doubles the digits; biases of 0.1 g need three."""
+"""Number of Gauss-Newton steps. Each step doubles the number of correct digits; biases of 0.1 g need three."""
 
 _LEAST_SHARE = 0.1
-"""The common bias is taken as 0 along directions in which the poses determine it so much worse than along the best one.
+"""Singular values below this share of the largest one are ignored: the common bias is assumed to be 0 along directions
+in which the poses determine it ten times worse than along the best one.
 """
 
 
 _TOUCHED_NS = 1_000_000_000
-"""Shortest time in which a hand turns a box and puts it down."""
+"""Shortest time, in ns, in which a hand turns a box and puts it down."""
 
 _ROUNDING_NS = 2
-"""Two halves of a phase differ by a nanosecond."""
+"""Tolerance of the ends of half phases, in ns: the two halves of a phase differ in length by up to a nanosecond."""
 
 
 def attitude_numbers(phases: Sequence[Phase]) -> list[int]:
-    """Return the number of the box's attitude in each phase of a log, or in the same half of each, in the order of
-    time.
+    """Return an attitude number for each phase of a log (or for the same half of each phase), in the order of time.
 
-    It is that of the phase before if the same axis is noted as up and nobody had time to touch the box between them.
+    A phase has the number of the phase before if the same axis is noted as up in both and the time between them is too
+    short to turn the box.
     """
     numbers: list[int] = []
     for at, phase in enumerate(phases):
@@ -58,8 +61,8 @@ def attitude_numbers(phases: Sequence[Phase]) -> list[int]:
 
 
 def shared_readings(attitudes: Sequence[Hashable], readings: Floats) -> Floats:
-    """Return the readings (k, s, 3) in k phases, those in phases of one attitude replaced by their mean; nan without
-    any.
+    """Return the readings (k, s, 3) in k phases, with those of phases of the same attitude replaced by their mean; nan
+    where no such phase has a reading.
     """
     shared = readings.copy()
     for attitude in set(attitudes):
@@ -72,8 +75,8 @@ def shared_readings(attitudes: Sequence[Hashable], readings: Floats) -> Floats:
 
 
 def _follows(before: Phase, phase: Phase) -> bool:
-    """Return whether a phase, or its half, begins where the one before ends: a half that is missing between them is as
-    long as its other half.
+    """Return whether a phase (or its half) begins where the phase before ends. If only one half of each phase is used,
+    the missing half between them is as long as the other half.
     """
     gap_ns = phase.start_ns - before.end_ns
     missing_ns = (0, before.end_ns - before.start_ns, phase.end_ns - phase.start_ns)
@@ -92,12 +95,13 @@ class Ups(NamedTuple):
 def ups_of(mean_g: Floats, known_g: Floats, noted_g: Floats | None = None) -> Ups:
     """Estimate the directions up from the array's mean readings in k poses.
 
-    `mean_g` (k, 3) in the box frame; `known_g` (k, 3) is the specific force where it is known, `noted_g` (k, 3) the
-    noted face on which the box may be tilted a little, nan elsewhere.
+    `mean_g` (k, 3) in the box frame. `known_g` (k, 3) is the specific force where it is known exactly. `noted_g` (k, 3)
+    is the noted face, on which the box may be tilted a little. Both are nan elsewhere.
 
-    Least squares over one bias for all poses: the lengths shall be 1 g, and in known poses all axes shall be as known.
-    Noted faces add a scale error for each axis and a tilt, both with a normal prior: opposite faces determine the bias
-    whatever their tilt, and a single face gets the smallest tilt that fits.
+    Least squares estimate one bias for all poses from two conditions: each corrected reading has a length of 1 g, and
+    in known poses it equals the known force on all axes. Noted faces add a scale error for each axis and a tilt, both
+    with a normal prior: opposite faces determine the bias whatever their tilt, and for a single face the smallest tilt
+    that fits is estimated.
     """
     if noted_g is not None and np.isfinite(noted_g).all(axis=1).any():
         return _with_faces(mean_g, known_g, noted_g)
@@ -137,14 +141,18 @@ def _with_faces(mean_g: Floats, known_g: Floats, noted_g: Floats) -> Ups:
 
 
 def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Floats | None = None) -> Floats:
-    """Return the mean reading (k, 3) of s accelerometers from `readings` (k, s, 3) in g in the box frame, nan where
-    there is none.
+    """Return the mean reading (k, 3) of s accelerometers from `readings` (k, s, 3), in g in the box frame; nan where no
+    accelerometer has a reading.
 
-    The median of the accelerometers that read in every pose and are never `GROSS_G` from it (the mean of two), or of
-    all if there are none such. With a median, an accelerometer whose bias changed does not tilt the box for the others.
-    Where two disagree, the noted faces `noted_g` (k, 3), nan where none is noted, tell which of them is counted, or
-    else the length of their readings, which is 1 g. Whether they do is decided by the `uncorrected` readings (k, s, 3),
-    if given: errors that were fitted to a sensor with exchanged axes bring it halfway to the others.
+    This is the median of the accelerometers that have a reading in every pose and are always within `GROSS_G` of the
+    median of all (for two accelerometers, their mean). If none is, it is the median of all that have a reading in every
+    pose; if none has, the mean of the readings that exist. With a median, an accelerometer whose bias changed does not
+    tilt the box for the others.
+
+    If two accelerometers disagree, the noted faces `noted_g` (k, 3), nan where none is noted, determine which of them
+    counts; if no accelerometer agrees with them, those count whose readings have a length of 1 g. Both decisions use
+    the `uncorrected` readings (k, s, 3) if they are given: errors that were fitted to a sensor with exchanged axes
+    bring it halfway to the others.
     """
     whole = np.isfinite(readings).all(axis=(0, 2))
     if not whole.any():
@@ -162,8 +170,8 @@ def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Flo
 
 
 def _within(readings: Floats, reference_g: Floats, most_g: float) -> Booleans:
-    """Return the mask (s,) of the accelerometers that are always within `most_g` of the reference (k, 3) in the poses
-    where it is known; False if it never is.
+    """Return the mask (s,) of the accelerometers that are within `most_g` of the reference (k, 3) in all poses in which
+    it is known; all False if it is known in no pose.
     """
     known = np.isfinite(reference_g).all(axis=1)
     near = np.abs(readings[known] - reference_g[known][:, None]) < most_g

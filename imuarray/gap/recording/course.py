@@ -1,9 +1,9 @@
-"""Stretches of a log in which a sensor reads differently from the rest, by running statistics of its rows.
+"""Stretches of a log in which a sensor reads differently from the rest, detected by running statistics of its rows.
 
 The phases at rest are cut into windows. In each window the low bits of the codes, repeated rows, missing rows and the
-noise by frequency band are computed. A stretch of windows in which the mean of one of these differs from that in the
-others is detected by comparing all stretches (one change of the mean and its end: A. Sen and M. S. Srivastava, Ann.
-Statist. 3, 1975), and then further stretches with the same step.
+noise by frequency band are computed. All stretches of windows are compared with the rest, and the one whose mean
+differs most is detected (one change of the mean and its end: A. Sen and M. S. Srivastava, Ann. Statist. 3, 1975).
+Further stretches with the same step are then added to it.
 """
 
 from __future__ import annotations
@@ -29,69 +29,75 @@ Stretches = tuple[tuple[float, float], ...]
 """(begin, end) of each stretch, in seconds since the log's epoch."""
 
 _WINDOWS, _WINDOW_ROWS = 64, 64
-"""The most windows of a log and the fewest rows of a window: with fewer rows a band of the spectrum is not determined.
+"""Largest number of windows of a log, and fewest rows of a window: fewer rows do not determine a band of the spectrum.
 """
 
 _FEWEST_WINDOWS = 8
 _BAND_BINS, _NEIGHBOURHOOD = 5, 17
-"""Bins of a spectral band, and of the neighbourhood whose median is the noise floor of a line."""
+"""Number of bins of a spectral band, and of the neighbourhood whose median is the noise floor of a line."""
 
 _ROUNDING = 1e-2
-"""Least power in squared counts: constant readings have the noise of rounding."""
+"""Added to the power of a band, in squared counts, before the logarithm: constant readings have the noise of rounding.
+"""
 
 _FEWEST_STRETCH_WINDOWS = 2
 """Fewest windows of a stretch, and of the rest on either side."""
 
 _EACH_NATS, _TOTAL_NATS = 3.0, 15.0
-"""Log-likelihood ratios in nats. A statistic counts from the first on; the sum over the statistics of a stretch, each
-less the first, has to exceed the second, which normal noise does in one of twenty logs.
+"""Log-likelihood ratios in nats. A statistic counts if its ratio exceeds the first value. A stretch is detected if the
+sum over its statistics, each less the first value, exceeds the second one, which normal noise does in one of twenty
+logs.
 """
 
 _PARTLY_NATS = 10.0
-"""Nats by which a line in a stretch explains more than one in the whole phase: the best of 2000 stretches of 64 windows
-gains 7 by chance.
+"""Log-likelihood ratio, in nats, by which a line in a stretch has to explain more than a line in the whole phase. The
+best of 2000 stretches of 64 windows gains 7 by chance.
 """
 
 _FINER = 4
-"""Frequencies in each bin of the spectrum at which a line is looked for: between bins it would not add up."""
+"""Number of frequencies in each bin of the spectrum at which a line is searched: a line between two bins would not add
+up in phase.
+"""
 
 _MOST_LINE_ROWS = 1 << 20
-"""Rows of a phase beyond which its windows are long enough to show a faint line themselves."""
+"""Largest number of rows of a phase in which a line is searched. The windows of a longer phase are long enough to show
+a faint line themselves.
+"""
 
 _LINE_NEIGHBOURS = 32
-"""Bins on either side of a line by which the noise beside it is estimated."""
+"""Number of bins on either side of a line from which the noise around it is estimated."""
 
 _MOST_STRETCHES = 8
-"""The most stretches of one kind that are reported for a log."""
+"""Largest number of stretches that are detected in a log, of all kinds together."""
 
 _SAME_STEP = 0.5
-"""A further stretch is of the same kind if its step is this share of the first one's, or more; one within a stretch
-with the opposite step is a hole in it.
+"""Least ratio of a further stretch's step to the first one's at which both are of the same kind. A stretch inside
+another one with the opposite step is a hole in it.
 """
 
 _SAME_SET = 0.8
-"""Two sets of stretches are the same if they agree in this share of the time."""
+"""Share of the time in which two sets of stretches have to agree to be regarded as the same."""
 
 _EDGE_WINDOWS, _EDGE_ROWS = 4, 32
-"""The moment of a change is estimated from the rows of this many windows on either side, each side with so many rows at
-least.
+"""The moment of a change is estimated from the rows of this many windows on either side. Each side, and the part
+between them, needs at least the second number of rows.
 """
 
 _MOST_SETS = 2
-"""The most sets of stretches that are reported for a log, the clearest first."""
+"""Largest number of sets of stretches that are reported for a log, the clearest first."""
 
 _NEARLY, _MOST_LIKELY = 1e-6, 64
-"""Share by which the gains of compiled code may differ from those of NumPy, and the most stretches that gain nearly as
-much as the clearest one.
+"""Relative difference allowed between the gains of compiled code and those of NumPy, and the largest number of
+stretches that gain nearly as much as the clearest one.
 """
 
 _LARGEST_STEP = 6.0
-"""A step from one window to the next is limited to so many times the median one (four standard deviations)."""
+"""Limit of the steps from one window to the next, as a multiple of the median step (four standard deviations)."""
 
 
 class _WindowTable(NamedTuple):
-    """Windows of a log: begin and end (w,) in s, and the `statistics` (w, f) of each, nan where there is none; `least`
-    (f,) is the least scatter that is meaningful.
+    """Windows of a log: begin and end (w,) in s, and the `statistics` (w, f) of each, nan where a window has none;
+    `least` (f,) is the least meaningful scatter of each statistic.
     """
 
     begin_s: Floats
@@ -101,16 +107,17 @@ class _WindowTable(NamedTuple):
 
 
 class ChangedWindows(NamedTuple):
-    """The windows `inside` (w,) of a kind of stretch, and the log-likelihood ratio in `nats`."""
+    """The mask `inside` (w,) of the windows of a kind of stretch, and its log-likelihood ratio in `nats`."""
 
     inside: Booleans
     nats: float
 
 
 def stretches_of(source: Source, phases: Sequence[Phase]) -> tuple[Stretches, ...]:
-    """Sets of stretches in which a sensor at rest reads differently in these phases, the clearest first.
+    """Return the sets of stretches in which a sensor at rest reads differently in these phases, the clearest first.
 
-    Each set is followed by its complement: which of the two is the exception is not decided here.
+    Each set is followed by its complement: this function does not decide which of the two is the exception. If a line
+    is on in a part of the longest phase only, that stretch is the last set.
     """
     windows = _window_table(source, phases)
     if windows is None:
@@ -132,9 +139,10 @@ def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None
     """Return the stretch in which the highest line of a phase is on, if it is off for a part of the phase; None
     otherwise.
 
-    A line that no window shows adds up in phase as long as it is on. With z_k the sums of windows of the rows less
-    their mean, turned back by the phase of the line, and p the power of the noise beside it per row, a stretch of n
-    rows with the line gains |sum z_k|^2 / (n p) nats (Rife and Boorstyn, IEEE Trans. Inf. Theory 20, 1974).
+    A line that is too faint to be seen in a single window adds up in phase as long as it is on. Let z_k be the sums
+    over windows of the rows, less their mean and rotated back by the phase of the line, and p the power per row of the
+    noise around the line. A stretch of n rows with the line gains |sum z_k|^2 / (n p) nats (Rife and Boorstyn, IEEE
+    Trans. Inf. Theory 20, 1974).
     """
     if source.rows(phase.start_ns, phase.end_ns) > _MOST_LINE_ROWS:
         return None
@@ -150,7 +158,7 @@ def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None
     counts = np.concatenate([block.counts for block in blocks])[:rows].astype(float)
     counts -= counts.mean(axis=0)
     power = np.abs(np.fft.rfft(counts, _FINER * rows, axis=0)) ** 2
-    lowest = 2 * _FINER * windows  # lines of less than two periods in a window are told by the windows
+    lowest = 2 * _FINER * windows  # the statistics of the windows show lines with less than two periods in a window
     power[:lowest] = 0.0
     line, axis = (int(at) for at in np.unravel_index(int(power.argmax()), power.shape))
     neighbours = power[max(line - _FINER * _LINE_NEIGHBOURS, lowest) : line + _FINER * _LINE_NEIGHBOURS + 1, axis]
@@ -162,7 +170,7 @@ def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None
     begin, end = np.triu_indices(windows + 1, _FEWEST_STRETCH_WINDOWS)
     gains = np.abs(upto[end] - upto[begin]) ** 2 / ((end - begin) * window_rows * floor)
     best, best_at_end = int(gains.argmax()), int(np.where((begin == 0) | (end == windows), gains, 0.0).argmax())
-    if gains[best] - gains[best_at_end] < _EACH_NATS:  # a moment that nothing shows is none
+    if gains[best] - gains[best_at_end] < _EACH_NATS:  # one change explains the rows as well as a begin and an end
         best = best_at_end
     if gains[best] < _TOTAL_NATS or gains[best] - abs(upto[-1]) ** 2 / (rows * floor) < _PARTLY_NATS:
         return None
@@ -196,7 +204,7 @@ def _of_phase(source: Source, phase: Phase, rows: int) -> _WindowTable | None:
 
 
 def _window_statistics(time_s: Floats, counts: Integers) -> tuple[Floats, Floats]:
-    """Return statistics (w, f) of windows of equally many rows, and (f,) the least scatter that is meaningful."""
+    """Return the statistics (w, f) of windows of equally many rows, and the least meaningful scatter (f,) of each."""
     rows = counts.shape[1]
     share = 0.5 / np.sqrt(rows)
     repeats = (np.diff(counts, axis=1) == 0).all(axis=2).mean(axis=1)
@@ -222,18 +230,19 @@ def _window_statistics(time_s: Floats, counts: Integers) -> tuple[Floats, Floats
 
 
 def _line(power: Floats) -> Floats:
-    """Power (3, w) of the spectra (w, b, 3) of windows, at the highest line that their mean has on each axis."""
+    """Return the power (3, w) of the spectra (w, b, 3) of windows, at the highest line of their mean on each axis."""
     total = power.mean(axis=0)
     floor = median_filter(total, size=(min(_NEIGHBOURHOOD, len(total)), 1), mode="mirror")
     highest = (total / np.maximum(floor, _ROUNDING)).argmax(axis=0)
-    bins = np.clip(highest + np.arange(-1, 2)[:, None], 0, len(total) - 1)  # a window spreads it over three bins
+    bins = np.clip(highest + np.arange(-1, 2)[:, None], 0, len(total) - 1)  # Hann spreads a line over three bins
     return np.asarray(power[:, bins, np.arange(3)].mean(axis=1).T)
 
 
 def changes(statistics: Floats, least: Floats) -> Iterator[ChangedWindows]:
-    """Kinds of stretches of windows whose statistics (w, f) differ from the rest, the clearest first; `least` (f,) is
-    the least scatter that is meaningful. A statistic that does not scatter, as of a sensor that is stuck for most of
-    the time, has no score.
+    """Yield the kinds of stretches of windows whose statistics (w, f) differ from the rest, in the order of detection.
+
+    `least` (f,) is the least meaningful scatter. A statistic that does not scatter has no score: it does not if a
+    sensor is stuck for most of the time.
     """
     scatter = np.maximum(_scatter(statistics), least)
     scatter[scatter == 0] = np.inf
@@ -256,14 +265,14 @@ def changes(statistics: Floats, least: Floats) -> Iterator[ChangedWindows]:
 
 
 def _scatter(values: Floats) -> Floats:
-    """Scatter (f,) from window to window, with the steps at changes limited."""
+    """Return the scatter (f,) from window to window; the steps at changes are limited."""
     steps = np.abs(np.diff(values, axis=0))
     return np.asarray(np.sqrt((np.minimum(steps, _LARGEST_STEP * np.median(steps, axis=0)) ** 2).mean(axis=0) / 2))
 
 
 def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
-    """Return the stretch [begin, end) whose means differ most from those of the rest, by how many nats in all, and the
-    step (f,) of each statistic, 0 for those that do not show it.
+    """Return the stretch [begin, end) whose means differ most from those of the rest, the difference in nats, and the
+    step (f,) of each statistic, 0 for statistics that do not show it.
     """
     count = len(scores)
     upto = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores, axis=0)])
@@ -278,8 +287,9 @@ def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
 
 
 def _likely_stretches(upto: Floats) -> tuple[Integers, Integers]:
-    """Return the begins and ends of the stretches of w windows among which the clearest one is: those that gain nearly
-    as much by compiled code, or all stretches; `upto` (w + 1, f) are the sums of the windows before each.
+    """Return the begins and ends of the stretches of w windows that may be the clearest one. Compiled code returns
+    those that gain nearly as much as the best; without it, or if they are too many, all stretches are returned. `upto`
+    (w + 1, f) are the sums of the windows before each edge.
     """
     count = len(upto) - 1
     if COMPILED and count >= 2 * _FEWEST_STRETCH_WINDOWS and np.isfinite(upto).all():
@@ -307,8 +317,8 @@ def _are_distinct(first: Booleans, other: Booleans) -> bool:
 
 
 def _edges(source: Source, windows: _WindowTable, inside: Booleans) -> Floats:
-    """Begins of the windows and the end of the last one (w + 1,) in s; the edges at which something changes are refined
-    by the rows near them.
+    """Return the begins of the windows and the end of the last one (w + 1,) in s. The edges at which something changes
+    are refined by the rows near them.
     """
     edges = np.append(windows.begin_s, windows.end_s[-1])
     for at in (np.flatnonzero(np.diff(inside.astype(np.int8))) + 1).tolist():
@@ -320,10 +330,10 @@ def _edges(source: Source, windows: _WindowTable, inside: Booleans) -> Floats:
 
 
 def _edge_s(source: Source, first_s: float, low_s: float, high_s: float, last_s: float, usual_s: float) -> float:
-    """Return the moment between `low_s` and `high_s` at which the rows change from those before to those after;
-    `usual_s` if no statistic shows it.
+    """Return the moment in s between `low_s` and `high_s` at which the rows change; `usual_s` if no statistic shows it.
 
-    The low bits of each row, whether it repeats, and its step are compared with the means on either side.
+    The low bits of each row, whether it repeats the row before, and its step are compared with the means on either
+    side.
     """
     blocks = list(source.blocks(round(first_s * 1e9), round(last_s * 1e9)))
     time_s = np.concatenate([block.time for block in blocks]) * 1e-9
@@ -349,7 +359,9 @@ def _edge_s(source: Source, first_s: float, low_s: float, high_s: float, last_s:
 
 
 def _joined(edges_s: Floats, inside: Booleans) -> Stretches:
-    """Windows joined to stretches; a stretch that includes the first or the last window has no begin or end."""
+    """Join windows to stretches. A stretch that includes the first window begins at 0, one that includes the last ends
+    at infinity.
+    """
     edges = np.diff(np.concatenate([[0], inside.astype(np.int8), [0]]))
     begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
     return tuple(

@@ -1,4 +1,4 @@
-"""Events of single rows of a recorded sensor. A simulation has other ones, so these are not compared."""
+"""Events of single rows of a recorded sensor. They happen at other moments in a simulation and are not compared."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from imuarray.simulate.timeline import Timeline
 from imuarray.units import INERTIAL
 
 MOST_STRETCHES = 256
-"""The most stretches of a log that are kept, the longest."""
+"""Largest number of stretches of a log that are kept, the longest ones."""
 
 _FEWEST_REPETITIONS = 2
 """Fewest repetitions of a stretch."""
@@ -31,9 +31,11 @@ _FEWEST_REPETITIONS = 2
 
 @dataclass(frozen=True)
 class RepeatedRows:
-    """The k longest stretches of a log in which every row equals the one before on all axes, at most `MOST_STRETCHES`,
-    of two such `rows` (k,) or more, in the order of time: `begin_ns` (k,) is the first of these rows, `end_ns` (k,) the
-    last, `counts` (k, 3) what they read.
+    """The k longest stretches of a log in which every row equals the row before on all axes, in the order of time; at
+    most `MOST_STRETCHES`, each with two such rows or more.
+
+    `rows` (k,) is the number of these rows, `begin_ns` (k,) the time of the first, `end_ns` (k,) that of the last,
+    `counts` (k, 3) the reading that they repeat.
     """
 
     rows: Integers
@@ -49,7 +51,7 @@ NO_REPEATED_ROWS = RepeatedRows(_NONE, _NONE, _NONE, np.zeros((0, 3), np.int64))
 def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
     """Collect the repeated rows of a sensor in bounded memory."""
     last = np.zeros((0, 3), np.int16)
-    longest = open_run = np.zeros((0, 6), np.int64)  # each of so many rows, from when, until when, and three counts
+    longest = open_run = np.zeros((0, 6), np.int64)  # columns: rows, begin_ns, end_ns, and three counts
     for block in blocks:
         counts = np.concatenate([last, block.counts])
         x, y, z = (counts[1:] == counts[:-1]).T
@@ -67,14 +69,14 @@ def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
 
 
 def _runs(time_ns: Integers, counts: Integers, still: Booleans) -> Integers:
-    """Return rows, first and last time, and the counts (k, 6) of each stretch."""
+    """Return (k, 6), for each stretch the number of rows, the times of the first and the last one, and three counts."""
     change = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
     begins, ends = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1
     return np.column_stack([ends - begins + 1, time_ns[begins], time_ns[ends], counts[begins]])
 
 
 def _longest(runs: Integers) -> Integers:
-    """Return the longest stretches in the order of time; the earlier of two equally long ones."""
+    """Return the longest stretches in the order of time; of two equally long ones, the earlier is kept."""
     runs = runs[runs[:, 0] >= _FEWEST_REPETITIONS]
     if len(runs) <= MOST_STRETCHES:
         return runs
@@ -87,9 +89,9 @@ _END_NS = np.iinfo(np.int64).max
 class Host(NamedTuple):
     """Delays of the host over all sensors of a log.
 
-    `rows` of the log, before how many of them the host was kept waiting (`waits`), the sum of the squares of half of
-    these times in s^2, and how many rows it `missed`; `lags` of all sensors behind the track of the box's motion, if
-    the log has one.
+    `rows` is the number of rows of the log, `waits` the number of rows before which the host was kept waiting,
+    `square_s2` the sum of the squares of half these waiting times in s^2, and `missed` the number of rows that it
+    missed. `lags` are the lags of all sensors behind the track of the box's motion, if the log has one.
     """
 
     rows: int = 0
@@ -106,9 +108,9 @@ PUNCTUAL = Host()
 class Events:
     """Events of one sensor in one log.
 
-    `repeated`: stretches in which its rows repeat; `outliers` against the other sensors in each phase in which the box
-    moves; `holes` in its rows as `GapFilledTimes.holes` gives them; `host`, the delays of the host seen in all sensors;
-    `resets`, stretches in which the chip's configuration was lost.
+    `repeated`: stretches in which its rows repeat; `outliers`: isolated readings in each phase in which the box moves,
+    compared with the other sensors; `holes` in its rows in the form of `GapFilledTimes.holes`; `host`: the delays of
+    the host, estimated from all sensors; `resets`: stretches in which the chip had lost its configuration.
     """
 
     repeated: RepeatedRows = NO_REPEATED_ROWS
@@ -121,11 +123,11 @@ class Events:
 def events_of(
     log: Log, timelines: Mapping[str, Timeline], moving: Sequence[Phase], motion: Motion | None = None
 ) -> Mapping[str, Events]:
-    """Events of the sensors with these timelines.
+    """Return the events of the sensors with these timelines.
 
-    `moving` are the phases in which the box moves; `motion` is what it felt, if the log has a track.
+    `moving` are the phases in which the box moves; `motion` is the motion of the log's track, if it has one.
     """
-    inertial = [log[name] for name in timelines if log[name].quantity in INERTIAL]  # of a track that tells no field
+    inertial = [log[name] for name in timelines if log[name].quantity in INERTIAL]  # a track has no magnetic field
     lags = host_lags(inertial, motion) if motion is not None and inertial else ()
     host = _host(timelines.values())._replace(lags=lags)
     return MappingProxyType(

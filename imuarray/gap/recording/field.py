@@ -1,8 +1,8 @@
-"""The magnetic field around a resting box, from the log's own magnetometers.
+"""The magnetic field around a resting box, estimated from the log's own magnetometers.
 
-No log records the field and no two rooms have the same. The mean level of the magnetometers in each phase at rest is
-therefore taken as the field, and is no evidence of their errors; their differences and their changes within a phase
-are.
+A log does not record the field, which differs from room to room. The mean reading of the magnetometers in each phase at
+rest is therefore assumed to be the field and is no evidence of their errors. Their differences, and their changes
+within a phase, are evidence.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[Ph
         means = [mean for sensor in magnetometers if (mean := _mean_box(sensor, phase)) is not None]
         if means:
             x, y, z = np.mean(means, axis=0).tolist()
-            # half-way from the phase before: the first readings of a phase may be older than it
+            # half-way between two phases: the first readings of a phase may have been measured before it begins
             turn_ns = (last_end_ns + phase.start_ns) // 2 if fields else phase.start_ns
             fields.append(PhaseField(turn_ns, (x, y, z)))
             last_end_ns = phase.end_ns

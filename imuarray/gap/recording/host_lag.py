@@ -1,4 +1,4 @@
-"""The lag of all sensors of a log behind the motion of its track: what the host's clock has gained."""
+"""The lag of all sensors of a log behind the motion of its track: the time that the host's clock has gained."""
 
 from __future__ import annotations
 
@@ -15,17 +15,21 @@ from imuarray.units import SI_PER_UNIT
 
 GRID_S = 0.01
 _WINDOW, _MOST_LAG_ROWS = 400, 100
-"""Rows of the grid in a window, and the largest lag or lead in rows relative to the window before."""
+"""Number of grid rows in a window, and largest lag or lead, in rows, relative to the window before."""
 
 WINDOWS = 64
-"""Windows of a log that are used, those with the most motion; a drifting rate shows in as many."""
+"""Largest number of windows of a log that are used, those with the most motion. They are enough to show a drifting
+rate.
+"""
 
 _LEAST_SHARE, _LEAST_RMS = 0.5, 1e-2
-"""Share of the sensors' variance that the motion has to explain, and its least rms in m/s^2 and rad/s."""
+"""Largest share of the motion's variance that may remain unexplained, and least rms of the motion, in m/s^2 and in
+rad/s.
+"""
 
 _UNIQUE = 1.5
-"""The second best lag has to leave so many times the variance, and what half a row of the grid makes beside: otherwise
-the lag is ambiguous by a period.
+"""The variance that remains with any other lag has to exceed this multiple of that with the best lag, plus the variance
+that half a grid row makes. Otherwise the motion is periodic and the lag is ambiguous by a period.
 """
 
 
@@ -40,9 +44,7 @@ class HostLag(NamedTuple):
 
 
 def host_lags(sensors: Sequence[SensorLog], motion: Motion) -> tuple[HostLag, ...]:
-    """Return the common lag of the sensors (accelerometers and gyroscopes), window by window, where
-    it is determined.
-    """
+    """Return the common lag of the sensors (accelerometers and gyroscopes) in each window in which it is determined."""
     lags: list[HostLag] = []
     lag_s = 0.0
     for start_ns in _moving_windows(sensors, motion):
@@ -54,7 +56,7 @@ def host_lags(sensors: Sequence[SensorLog], motion: Motion) -> tuple[HostLag, ..
 
 
 def _moving_windows(sensors: Sequence[SensorLog], motion: Motion) -> list[int]:
-    """Begins of the windows with the most motion by the track, in ns."""
+    """Return the begins of the windows with the most motion according to the track, in ns."""
     begin_ns = max((int(values.time[0]) for values in sensors), default=0)
     end_ns = min((int(values.time[-1]) for values in sensors), default=0)
     length_ns = _ns(_WINDOW)
@@ -69,7 +71,7 @@ def _moving_windows(sensors: Sequence[SensorLog], motion: Motion) -> list[int]:
 
 
 def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near_s: float) -> HostLag | None:
-    """Return the lag in one window; None where no lag fits, or more than one does."""
+    """Return the lag in one window; None if no lag fits, or more than one."""
     near = round(near_s / GRID_S)
     reach = _grid(start_ns - _ns(near), _MOST_LAG_ROWS)
     readings, track = _read(sensors, _grid(start_ns, 0)), track_values(motion, reach)
@@ -79,7 +81,7 @@ def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near
         size = float(np.var(expected, axis=0).sum())
         if size < _LEAST_RMS**2:
             continue
-        shifted = sliding_window_view(expected, _WINDOW, axis=0)[::-1]  # the first is the furthest behind
+        shifted = sliding_window_view(expected, _WINDOW, axis=0)[::-1]  # the first one has the largest lead
         difference = values.T - values.mean(axis=0)[:, None] - (shifted - shifted.mean(axis=2, keepdims=True))
         unexplained += (difference**2).sum(axis=(1, 2)) / size
         square += (np.gradient(expected, GRID_S, axis=0) ** 2).sum(axis=1)[_MOST_LAG_ROWS:-_MOST_LAG_ROWS] / size
@@ -103,8 +105,8 @@ def _dips(values: Floats) -> Iterator[int]:
 
 
 def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
-    """Return the readings (n, 3) of each quantity at the grid's times, SI, box axes, averaged over all sensors that
-    have rows there.
+    """Return the readings (n, 3) of each quantity at the times of the grid, in SI units along the box's axes, averaged
+    over all sensors that have rows there.
     """
     readings: dict[str, list[Floats]] = {}
     for sensor in sensors:
