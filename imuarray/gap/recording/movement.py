@@ -1,10 +1,10 @@
-"""The motion of the box in a log without a track, as the sensors of the array feel it together.
+"""The motion of the box in a log without a track, estimated from the sensors of the array.
 
-A turn or a stroke is felt by all sensors of a quantity alike, so that each can be compared with the others although no
-instrument recorded the motion. What a simulation needs is the motion itself, which is taken as the mean of the sensors
-in windows of time: an error that all of them share is a part of it and does not show. The noise of the mean would be
-felt by all simulated sensors alike, where recorded ones have nothing in common on an axis that hardly moves. It is
-therefore subtracted in the spectrum, by the noise with which the sensors differ.
+All sensors of a quantity measure a turn or a stroke alike, so each can be compared with the others although no
+instrument recorded the motion. A simulation needs the motion itself, which is estimated as the mean of the sensors in
+windows of time: an error that all of them share becomes a part of the motion and is not detected. All simulated sensors
+would also measure the noise of this mean, whereas recorded sensors have nothing in common on an axis that hardly moves.
+It is therefore subtracted in the spectrum; its size is estimated from the differences between the sensors.
 """
 
 from __future__ import annotations
@@ -27,55 +27,58 @@ from imuarray.simulate.motion.track_noise import reduce_noise
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
 _WINDOW_ROWS, _SHORTEST_S = 2.0, 0.02
-"""Rows of the slowest sensor in a window of time, and the shortest window: a hand turns a box in seconds."""
+"""Number of rows of the slowest sensor in a window of time, and the shortest window in s: a hand turns a box in
+seconds.
+"""
 
 _FEWEST_WINDOWS, MOST_WINDOWS = 16, 200_000
-"""Fewest windows of a motion, and the most that are kept in memory: an hour of 20 ms, 80 MB for 16 sensors."""
+"""Fewest and most windows of a motion. The most are an hour of 20 ms windows, which takes 80 MB for 16 sensors."""
 
 _LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
-"""Changes of force (m/s2, rms) and rate (rad/s, rms) that are motion, and the factor of the variance of the noise that
-is taken off before.
+"""Least changes of force (m/s2, rms) and of rate (rad/s, rms) that are motion, and the multiple of the noise variance
+that is subtracted before they are compared.
 """
 
 _FAST_SHARE, _OVER_NOISE, _LEAST_NOISE, _SOME_ROWS = 0.5, 4.0, 0.3, 50_000
-"""Share of a motion that changes from row to row from which on it is a vibration, the multiple of the noise that this
-is at least, the noise of rounding in counts, and the most rows from which these are computed.
+"""A motion is a vibration if its change from row to row is at least this share of it and this multiple of the noise.
+Then the least noise, in counts, which is that of rounding, and the largest number of rows from which these are
+computed.
 """
 
 _TURN_STEP_NS = 50_000_000
-"""Interval of a turn over which a gyroscope's rates are averaged: 5 degrees of a fast turn."""
+"""Interval of a turn over which a gyroscope's rates are averaged, in ns; a fast turn covers 5 degrees in it."""
 
 _SHARED_OVER_OWN, _WINDOWS_AT_REST = 2.0, 4096
-"""Ratio of variances of what sensors of a quantity have in common from one window to the next, and of their own noise,
-from which on the box is not at rest; the most windows of a phase by which that is decided.
+"""Ratio of the variance that sensors of a quantity share from one window to the next to that of their own noise, above
+which the box is not at rest; and the largest number of windows of a phase that are used to decide this.
 """
 
 _CLIPPED = 0.97
-"""Share of the range from which on a rate is taken as clipped: zero and scale of parts differ."""
+"""Share of the range above which a rate is assumed to be clipped: zero and scale vary from part to part."""
 
 _TURN_TOLERANCE, _MOST_FACTOR = 0.03, 2.4
-"""Share by which the turns of healthy gyroscopes may miss the attitudes, and the largest factor of rates that is
-believed: beyond it the axes are others.
+"""Relative error of the turns that healthy gyroscopes may have against the attitudes, and the largest factor of rates
+that is accepted: beyond it the axes are other ones.
 """
 
 _WRONG_FORCE = 3.0
-"""Difference in m/s2 of an accelerometer at rest from gravity on the noted face, which no tolerance explains: its axes
-or its range are not those of its header, and no motion is told by it.
+"""Difference of an accelerometer at rest from gravity on the noted face, in m/s2, that no tolerance explains. Its axes
+or its range are not those of its header, and it is not used to estimate a motion.
 """
 
 
 def movements_of(
     log: Log, sensors: Sequence[str], phases: Sequence[Phase], rests: Sequence[Phase]
 ) -> dict[Phase, Movement]:
-    """Return the motions in phases by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
-    show their biases. Without rests there are none.
+    """Return the motions in phases, estimated from the readings of these sensors. `rests` are phases at rest, from
+    which the biases of gyroscopes are estimated; without rests the result is empty.
 
-    Accelerometers that are wrong at rest do not count; gyroscopes whose turns lead to another attitude than that of the
-    next rest have their axes exchanged, if that explains it.
+    Accelerometers that are wrong at rest are not used. If the turns of a gyroscope do not lead to the attitude of the
+    next rest, and exchanged axes explain this, its axes are exchanged back.
 
-    A phase is left out if the box does not move, or vibrates faster than the rows show, no two sensors measure the
-    same, it has more than `MOST_WINDOWS`, or there is no gyroscope, since accelerometers at different places then feel
-    an unknown rotation.
+    A phase is left out if the box does not move, if it vibrates faster than the rows show, if no two sensors measure
+    the same quantity, if it has more than `MOST_WINDOWS`, or if it has no gyroscope: accelerometers at different places
+    then measure an unknown rotation.
     """
     if not phases or not rests:
         return {}
@@ -104,7 +107,7 @@ def movements_of(
 
 
 def noise_at_rest(triads: Sequence[SensorLog], rests: Sequence[Phase]) -> dict[str, Floats]:
-    """Return the noise (3,) in counts of each accelerometer in the quietest of the phases at rest that have rows."""
+    """Return the noise (3,) in counts of each accelerometer in the quietest phase at rest in which it has rows."""
     noise = {}
     for sensor in triads:
         counts = [_some_counts(sensor, rest) for rest in rests if sensor.quantity == "specific_force"]
@@ -115,8 +118,8 @@ def noise_at_rest(triads: Sequence[SensorLog], rests: Sequence[Phase]) -> dict[s
 
 
 def vibrates(triads: Sequence[SensorLog], phase: Phase, noise: Mapping[str, Floats]) -> bool:
-    """Return whether accelerometers feel mostly what changes from row to row, and is no `noise` (`noise_at_rest`): a
-    vibration, of which sensors that are read at other moments show something else.
+    """Return whether an accelerometer measures mostly changes from row to row that are larger than its `noise`
+    (`noise_at_rest`). This is a vibration, which sensors that are read at other moments measure differently.
     """
     for sensor in triads:
         moving = _some_counts(sensor, phase) if sensor.name in noise else np.zeros((0, 3))
@@ -128,8 +131,8 @@ def vibrates(triads: Sequence[SensorLog], phase: Phase, noise: Mapping[str, Floa
 
 
 def shaken_quantities(triads: Sequence[SensorLog], rest: Phase) -> list[str]:
-    """Return the quantities all of whose sensors, two at least, feel the same changes along an axis of the box in a
-    phase at rest, well beyond their noise: somebody holds the box, or an engine runs.
+    """Return the quantities in which all sensors, two or more, measure the same changes along an axis of the box in a
+    phase at rest, well above their noise: a hand holds the box, or an engine runs.
     """
     groups = {quantity: [sensor for sensor in triads if sensor.quantity == quantity] for quantity in INERTIAL}
     return [quantity for quantity, group in groups.items() if len(group) > 1 and _is_shared(group, rest)]
@@ -149,44 +152,48 @@ def _is_shared(sensors: Sequence[SensorLog], rest: Phase) -> bool:
     if steps.shape[1] < _FEWEST_WINDOWS:
         return False
     mean = steps.mean(axis=0)
-    # by medians, which a touch does not change
+    # Medians are used because a short touch does not change them.
     own = (_usual(steps - mean) ** 2).max(axis=0) * len(sensors) / (len(sensors) - 1)
     shared = _usual(mean[None])[0] ** 2 - own / len(sensors)
     return bool((shared > _SHARED_OVER_OWN * own).any())
 
 
 def _usual(values: Floats) -> Floats:
-    """Return the standard deviation (s, 3) of normal values (s, n, 3) of s sensors, by the median from the median."""
+    """Return the standard deviations (s, 3) of normal values (s, n, 3) of s sensors, from their median absolute
+    deviations.
+    """
     apart = np.abs(values - np.median(values, axis=1, keepdims=True))
     return np.asarray(np.median(apart, axis=1) / MEDIAN_ABSOLUTE)
 
 
 def _some_counts(sensor: SensorLog, phase: Phase) -> Floats:
-    """Return the counts (n, 3) of the first rows of a phase."""
+    """Return the counts (n, 3) of the first rows of a phase, `_SOME_ROWS` at most."""
     return np.asarray(sensor.counts[sensor.between(phase.start_ns, phase.end_ns)][:_SOME_ROWS], float)
 
 
 def _scatter(counts: Floats) -> Floats:
-    """Return (3,) the standard deviation of what changes from row to row, by neighbours."""
+    """Return the standard deviation (3,) of the changes from row to row, as noise of a single row."""
     return np.asarray(np.sqrt((np.diff(counts, axis=0) ** 2).mean(axis=0) / 2))
 
 
 class _Course(NamedTuple):
-    """What the sensors feel together in windows of time: force (w, 3) and rate (w, 3) in the box's frame."""
+    """Motion common to the sensors, in windows of time: force (w, 3) in m/s2 and rate (w, 3) in rad/s in the box's
+    frame.
+    """
 
     middles_ns: Integers
     force: Floats
     rate: Floats
 
     def turn(self, phase: Phase, up_before: Floats, up_after: Floats) -> Turn | None:
-        """Return the turn of the box in the phase; None if the windows do not tell it."""
+        """Return the turn of the box in the phase; None if the windows do not determine it."""
         inside = (phase.start_ns <= self.middles_ns) & (self.middles_ns < phase.end_ns)
         return Turn.of(up_before, up_after, self.rate[inside], (phase.end_ns - phase.start_ns) * 1e-9)
 
 
 def _factors(turns: Sequence[Turn]) -> Floats:
-    """Return factors (3,) of the rates about the box's axes: as far as turns differ from the attitudes by more than the
-    tolerances of gyroscopes and attitudes, all gyroscopes are off.
+    """Return the factors (3,) that correct the rates about the box's axes. Where the turns differ from the attitudes by
+    more than the tolerances of gyroscopes and attitudes, all gyroscopes are assumed to have the same scale error.
     """
     factors = factors_of(turns)
     is_likely = (factors > 1 / _MOST_FACTOR) & (factors < _MOST_FACTOR)
@@ -196,7 +203,9 @@ def _factors(turns: Sequence[Turn]) -> Floats:
 def _course(
     triads: Sequence[SensorLog], phase: Phase, biases: Mapping[str, Floats], exchanged: Mapping[str, Floats]
 ) -> _Course | None:
-    """Return the course of a phase; `biases` (3,) and `exchanged` axes (3, 3) of gyroscopes are in the box's frame."""
+    """Return the common motion in a phase; None if too few sensors or windows determine it, or the box does not move.
+    `biases` (3,) and matrices `exchanged` (3, 3) of gyroscopes are in the box's frame.
+    """
     rows = {sensor.name: RecordedSource(sensor).rows(phase.start_ns, phase.end_ns) for sensor in triads}
     there = [sensor for sensor in triads if rows[sensor.name]]
     gyroscopes = [sensor for sensor in there if sensor.quantity == "angular_rate"]
@@ -228,7 +237,7 @@ def _course(
 def shows_motion(force: Floats, rate: Floats) -> bool:
     """Return whether force (n, 3) in m/s2 or rate (n, 3) in rad/s change by more than their own noise."""
     for values, least in ((force, _LEAST_FORCE), (rate, _LEAST_RATE)):
-        # The noise is taken as white: its rows do not depend on each other.
+        # The noise is assumed to be white: rows are independent.
         noise = np.diff(values, n=2, axis=0).var(axis=0) / 6
         smooth = np.maximum(values.var(axis=0) - _NOISE_MARGIN * noise, 0.0)
         if np.sqrt(smooth.max()) > least:
@@ -237,14 +246,14 @@ def shows_motion(force: Floats, rate: Floats) -> bool:
 
 
 def _edges_ns(phase: Phase, window_s: float) -> Integers:
-    """Return edges of windows of time in a phase and one window beyond it on either side."""
+    """Return the edges of the windows of time in a phase, with one more window on either side."""
     window_ns = round(window_s * 1e9)
     return np.arange(phase.start_ns - window_ns, phase.end_ns + 2 * window_ns, window_ns, dtype=np.int64)
 
 
 def _window_means(sensor: SensorLog, edges_ns: Integers) -> Floats:
-    """Return the mean readings (w, 3) in the windows, at their middles, in SI units along the box's axes; nan in those
-    without rows.
+    """Return the mean readings (w, 3) in the windows, interpolated to their middles, in SI units along the box's axes;
+    nan in windows without rows.
     """
     count = len(edges_ns) - 1
     sums, rows = np.zeros((count, 4)), np.zeros(count)
@@ -268,8 +277,8 @@ def _window_means(sensor: SensorLog, edges_ns: Integers) -> Floats:
 def _ends_of_turns(
     triads: Sequence[SensorLog], phases: Sequence[Phase], rests: Sequence[Phase]
 ) -> dict[Phase, tuple[Floats, Floats]]:
-    """Return the directions up (3,) in the box's frame before and after each phase between two rests that tell them;
-    without phases in which a gyroscope reaches an end of its range.
+    """Return the directions up (3,), in the box's frame, before and after each phase that lies between two rests in
+    which they are known. Phases in which a gyroscope clips are left out.
     """
     accelerometers = [sensor for sensor in triads if sensor.quantity == "specific_force"]
     gyroscopes = [sensor for sensor in triads if sensor.quantity == "angular_rate"]
@@ -292,9 +301,9 @@ def _clips(sensor: SensorLog, phase: Phase) -> bool:
 def _exchanged_axes(
     triads: Sequence[SensorLog], ends: Mapping[Phase, tuple[Floats, Floats]], biases: Mapping[str, Floats]
 ) -> dict[str, Floats]:
-    """Return what makes rates (3,) of the readings of gyroscopes with exchanged axes, matrices (3, 3) in the box's
-    frame, by turns between the attitudes `ends`. Where all of several gyroscopes seem to have them, it is the attitudes
-    that are wrong.
+    """Return matrices (3, 3) by gyroscope, in the box's frame, that convert readings with exchanged axes to rates,
+    estimated from the turns between the attitudes `ends`. The result is empty if all gyroscopes, of two or more, seem
+    to have exchanged axes: the attitudes are then wrong.
     """
     gyroscopes = [sensor for sensor in triads if sensor.quantity == "angular_rate"]
     exchanged = {}
@@ -312,8 +321,8 @@ def _exchanged_axes(
 
 
 def _up_at_rest(accelerometers: Sequence[SensorLog], rest: Phase) -> Floats | None:
-    """Return the direction (3,) that is up in the box by the mean of accelerometers, or as it is noted; None if it is
-    not known.
+    """Return the direction up (3,) in the box from the mean of the accelerometers, or else as noted; None if it is not
+    known.
     """
     readings = [_mean_in(sensor, rest) for sensor in accelerometers]
     known = [reading for reading in readings if np.isfinite(reading).all()]
@@ -325,8 +334,8 @@ def _up_at_rest(accelerometers: Sequence[SensorLog], rest: Phase) -> Floats | No
 
 
 def _wrong_at_rest(accelerometers: Sequence[SensorLog], rests: Sequence[Phase]) -> set[str]:
-    """Return the names of those that contradict the noted face in a phase at rest in which another one agrees with it;
-    where all contradict it, the note is wrong.
+    """Return the names of the accelerometers that contradict the noted face in a phase at rest in which another one
+    agrees with it. If all contradict it, the note is wrong.
     """
     wrong: set[str] = set()
     for rest in rests if len(accelerometers) > 1 else ():
@@ -353,8 +362,11 @@ def _mean_at_rest(sensor: SensorLog, rests: Sequence[Phase]) -> Floats:
 
 
 def _mean_of(sensors: Sequence[Floats]) -> Floats:
-    """Return the mean (w, 3) of the readings (w, 3) of sensors without its noise, of three or more the median, each
-    less its own deviation from it: a sensor that lacks a window then leaves no step. nan where no sensor has readings.
+    """Return the mean (w, 3) of the readings (w, 3) of the sensors, with its noise reduced; nan where no sensor has
+    readings.
+
+    The median is used for three or more sensors. Each sensor's mean deviation from it is subtracted first, so
+    that a sensor without readings in a window causes no step.
     """
     readings = np.array(sensors)
     middle = np.nanmedian if len(readings) > 2 else np.nanmean
@@ -365,8 +377,8 @@ def _mean_of(sensors: Sequence[Floats]) -> Floats:
     shown = readings[:, known]
     apart = shown - middle(shown, axis=0)
     mean = middle(shown - np.nanmean(apart, axis=1, keepdims=True), axis=0)
-    # White noise of variance 1 has second differences of variance 6; the mean of s sensors differs from each by a share
-    # (s - 1) / s of its variance, and has 1 / s of it.
+    # White noise of variance 1 has second differences of variance 6. The difference of a sensor from the mean of s
+    # sensors has (s - 1) / s of the sensor's variance, and the mean has 1 / s of it.
     of_each = mean[None] if len(readings) == 1 else apart
     scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
     means[known] = reduce_noise(mean, scatter / max(len(readings) - 1, 1), keeps_power=True)

@@ -1,4 +1,4 @@
-"""Isolated readings: far from both neighbours, which are near each other."""
+"""Isolated readings: those that are far from both neighbours, which are close to each other."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from imuarray.log.format import Phase
 from imuarray.log.writer import Block
 
 MOST = 16
-"""The most readings of each axis that are kept by default."""
+"""Default of the largest number of readings of each axis that are kept."""
 
 _ALONE = 1.5
-"""Ratio of a reading's distance from the middle of its neighbours to that of the neighbours from theirs: 2 for an
-isolated reading, 1 next to a step.
+"""Least ratio of an isolated reading's distance from the middle of its neighbours to that of a neighbour from the
+middle of its own: it is 2 for an isolated reading, 1 next to a step.
 """
 
 _ASIDE = 2
-"""Rows on either side that have to be known."""
+"""Number of rows that are needed on either side."""
 
 
 _ROBUST = 1.4826
-"""Standard deviation over median absolute deviation of Gaussian numbers: 1 / 0.6745."""
+"""Ratio of the standard deviation to the median absolute deviation of normal values: 1 / 0.6745."""
 
 
 @dataclass(frozen=True)
 class Outliers:
-    """The k readings of a phase that are furthest from the middle of their two neighbours, at most so many of each
+    """The k readings of a phase that are furthest from the middle of their two neighbours, limited in number for each
     axis.
 
     `axis` (k,), times `time_ns` (k,) and signed distances `deviation` (k,) in counts. Only isolated readings are
-    listed; the first two and the last two of a phase are left out.
+    listed; the first two and the last two rows of a phase are left out.
     """
 
     axis: Integers
@@ -44,7 +44,7 @@ class Outliers:
 
 
 class OutlierTally:
-    """Collects the furthest isolated readings of each axis while rows arrive."""
+    """Collects the isolated readings that are furthest from their neighbours, for each axis, while rows arrive."""
 
     def __init__(self, most: int = MOST) -> None:
         self._most = most
@@ -52,7 +52,7 @@ class OutlierTally:
         self._furthest: list[list[tuple[float, int, float]]] = [[], [], []]
 
     def update(self, time_ns: Integers, apart: Floats) -> None:
-        """Add rows: times (n,), and distances (3, n) of counts from an origin."""
+        """Add rows: times (n,) in ns, and counts (3, n) less an origin."""
         time = np.concatenate([self._time, time_ns])
         line = np.concatenate([self._line, apart], axis=1)
         self._time, self._line = time[-2 * _ASIDE :], line[:, -2 * _ASIDE :].copy()
@@ -80,24 +80,24 @@ class OutlierTally:
 
 
 def robust_std(values: Floats) -> Floats:
-    """Standard deviation of each column of (r, k) from the median absolute deviation."""
+    """Return the standard deviation of each column of (r, k), estimated from the median absolute deviation."""
     return np.asarray(_ROBUST * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
 MOST_IN_MOTION = 64
-"""The most readings of each axis that are kept."""
+"""Largest number of readings of each axis that are kept in a phase of motion."""
 
 _MARGIN_NS = 10**9
 _ROWS_A_COEFFICIENT = 8
-"""Rows for each fitted number; a shorter block is not used."""
+"""Fewest rows for each fitted coefficient; shorter blocks are not used."""
 
 
 def outliers_in_motion(sensor: SensorLog, others: Sequence[SensorLog], phase: Phase) -> Outliers:
-    """Return the readings of a phase that are furthest, in counts, from the middle of their neighbours once the motion
+    """Return the readings of a phase that are furthest, in counts, from the middle of their neighbours after the motion
     is subtracted.
 
-    The motion is a combination of the axes of `others` and of their changes (which stand for a delay), fitted block by
-    block. Empty without others.
+    The motion is a combination of the axes of `others` and of their changes (which represent a delay), fitted block by
+    block. Without others the result is empty.
     """
     tally = OutlierTally(MOST_IN_MOTION)
     for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
@@ -106,7 +106,7 @@ def outliers_in_motion(sensor: SensorLog, others: Sequence[SensorLog], phase: Ph
 
 
 def _without_motion(block: Block, others: Sequence[SensorLog]) -> Floats:
-    """Return counts (3, n) less the fitted motion; nan where there is too little to fit."""
+    """Return the counts (3, n) less the fitted motion; nan if the rows are too few for a fit."""
     others_axes = [axis for other in others for axis in _readings_at(other, block.time)]
     columns = (
         [np.ones(len(block.time)), *others_axes, *(np.gradient(axis) for axis in others_axes)]
@@ -121,7 +121,7 @@ def _without_motion(block: Block, others: Sequence[SensorLog]) -> Floats:
 
 
 def _readings_at(other: SensorLog, time_ns: Integers) -> list[Floats]:
-    """Return each axis of another sensor at these times (n,), less its mean, linearly interpolated."""
+    """Return each axis of another sensor less its mean, linearly interpolated to these times (n,)."""
     span = other.between(int(time_ns[0]) - _MARGIN_NS, int(time_ns[-1]) + _MARGIN_NS)
     times = np.asarray(other.time[span], np.int64)
     if len(times) < 2:

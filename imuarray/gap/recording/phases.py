@@ -1,4 +1,4 @@
-"""The phases of a recorded log, their attitudes, and the phases that are detected where none are noted."""
+"""The phases of a recorded log, their attitudes, and the detection of phases where none are noted."""
 
 from __future__ import annotations
 
@@ -33,32 +33,38 @@ from imuarray.units import INERTIAL
 Up = tuple[float, float, float]
 
 _SHORT = 0.25
-"""A static stretch shorter than this share of the longest one says little: often a hand holds the box."""
+"""Least length of a static stretch, as a share of the longest one. In a shorter one, a hand often holds the box."""
 
 MOST_TILT_DEG = 5.0
-"""Largest tilt of a box on a noted face, a nuisance quantity. Beyond it the label is doubted."""
+"""Largest tilt of a box on a noted face, in degrees; a nuisance quantity. If the tilt is larger, the note is doubted.
+"""
 
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
-"""A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
+"""Rate, in degrees per second (rms over this many moments of a phase), above which a box is not at rest according to
+its track, even if the phase is noted as at rest.
+"""
 
 _CHANGE_DPS, _REFERENCE_DPS, _PARTS = 10.0, 0.3, 32
-"""A larger mean rate in one of so many parts of a phase is that of a turntable: by gyroscopes beside what they read at
-rest, whose biases change less in any heat, and by a reference.
+"""Least mean rates, in degrees per second, that are those of a turntable, according to gyroscopes less their reading at
+rest (their biases change less in any heating) and according to a reference; and the number of parts of a phase in which
+the mean is computed.
 """
 
 HEATED_DEGC = 3.0
-"""A larger change of temperature in a phase at rest is heating: a room changes less in minutes."""
+"""Change of temperature in a phase at rest, in degC, above which the box is heated: that of a room changes less in
+minutes.
+"""
 
 NEEDED_S, NEEDED_ROWS = 3.0, 24
-"""Shortest time at rest and fewest rows of a log without phases: static stretches are detected in windows of half a
-second or four rows, of which the first and the last are cut off.
+"""Shortest time at rest, in s, and fewest rows of a log without phases. Static stretches are detected in windows of
+half a second or four rows, and the first and the last window are cut off.
 """
 
 TURN = "turn"
 """Name of a stretch between two noted rests in which the box turns."""
 
 _LONGEST_TURN_S = 20.0
-"""Longest time in which a hand turns a box from one rest to the next."""
+"""Longest time, in s, in which a hand turns a box from one rest to the next."""
 
 _UNKNOWN_MOTION = (
     "the log has no track of the box's motion, nor two sensors of a kind and a gyroscope that show it (in phases of up "
@@ -75,21 +81,20 @@ _SHARED_MOTION = (
 )
 
 _SAME_COSINE = np.cos(np.radians(10))
-"""Cosine of the largest angle between poses on one face."""
+"""Cosine of the largest angle between the directions up of poses on one face."""
 
 
 def is_at_rest(phase: Phase) -> bool:
-    """Return whether the box is at rest in a phase: the phase notes the axis that is up, or has a
-    name that means it.
-    """
+    """Return whether the box is at rest in a phase: an axis is noted as up, or the phase has the name of a rest."""
     name = phase.name
     return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
 
 
 class ComparablePhases(NamedTuple):
-    """The phases of a log that can be compared, its motions as far as its own sensors show them, notes, and the
-    quantities whose sensors are `shaken` in all phases at rest. From and until when, in ns, the box was touched or
-    shaken is in `restless`.
+    """The phases of a log that can be compared, and the motions that its own sensors show.
+
+    `notes` say what was left out or assumed; `shaken` are the quantities that are shaken in all phases at rest;
+    `restless` are the spans (begin, end), in ns, in which the box was touched or shaken.
     """
 
     phases: tuple[Phase, ...]
@@ -100,16 +105,16 @@ class ComparablePhases(NamedTuple):
 
 
 def is_motion(phase: Phase) -> bool:
-    """Return whether the box moves for more than a turn from one rest to the next."""
+    """Return whether a phase is a motion that is more than a turn from one rest to the next."""
     return not is_at_rest(phase) and phase.name != TURN
 
 
 def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePhases:
     """Return the phases in which these sensors can be compared, and notes on those in which they cannot.
 
-    Phases at rest, or detected static stretches if none is noted; other phases, turns between noted rests and motions
-    between detected ones, where `motion` follows a track or several sensors show the motion. LogError if there is
-    nothing to compare.
+    These are the phases at rest, or detected static stretches if no rest is noted. Other phases, turns between noted
+    rests and motions between detected ones are included if `motion` follows a track or several sensors show the motion.
+    Raises LogError if no phase can be compared.
     """
     is_tracked = motion.source != "phases"
     noted = [
@@ -155,15 +160,17 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
-    """Return the phase without its axis up if by the track the box turns: the axis was that of the first face."""
+    """Return the phase without its noted axis if the box turns in it according to the track: the note is then that of
+    the first face only.
+    """
     rate_dps = np.degrees(np.asarray(_sampled(phase, motion).rate_box, float))
     turns = float(np.sqrt(np.mean(rate_dps**2, axis=0).sum())) > MOST_RATE_DPS
     return phase._replace(up="") if phase.up and turns else phase
 
 
 def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
-    """Return a phase without its axis up if the box turns about it by a reference of the rate alone, or by gyroscopes
-    beside what they read at rest, and its name does not mean rest.
+    """Return the phase without its noted axis if the box turns in it about that axis on a turntable and its name does
+    not mean rest. A reference of the rate decides this, or else gyroscopes less their reading at rest.
     """
     if not phase.up or is_at_rest(phase._replace(up="")):
         return phase
@@ -171,7 +178,7 @@ def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
     gyroscopes = [sensor for sensor in log.of("angular_rate") if sensor.sensitivity]
     parts_ns = np.linspace(phase.start_ns, phase.end_ns, _PARTS + 1).astype(np.int64)
     parts = [Phase(int(start_ns), int(end_ns), phase.name) for start_ns, end_ns in pairwise(parts_ns)]
-    biases_dps = [_mean_reading(sensor, rest) for rest in rests for sensor in gyroscopes]  # none without a rest
+    biases_dps = [_mean_reading(sensor, rest) for rest in rests for sensor in gyroscopes]  # empty without a rest
     changes_dps = [
         [_mean_reading(sensor, part) - bias_dps for sensor, bias_dps in zip(gyroscopes, biases_dps, strict=False)]
         for part in parts
@@ -191,25 +198,25 @@ def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
 
 
 def _largest(vectors: Sequence[Floats]) -> float:
-    """Return the length of the longest of the vectors (3,) that are known; 0 without one."""
+    """Return the length of the longest finite vector (3,); 0 without one."""
     return float(max((np.linalg.norm(vector) for vector in vectors if np.isfinite(vector).all()), default=0.0))
 
 
 def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
-    """Return whether the box moves in a phase by the track that `motion` follows, beside the noise of that track:
-    sensors that are noisier than a gentle motion take it for rest.
+    """Return whether the box moves in a phase according to the track that `motion` follows, by more than the track's
+    noise. Sensors whose noise exceeds a gentle motion do not show it.
     """
     moment = _sampled(phase, motion)
     return shows_motion(np.asarray(moment.force_box, float), np.asarray(moment.rate_box, float))
 
 
 def _sampled(phase: Phase, motion: LikeLog) -> Felt:
-    """Return what the box feels at moments evenly spread over a phase."""
+    """Return the force, the rate and the temperature of the box at moments evenly spread over a phase."""
     return motion.felt(np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64))
 
 
 def _what_is_lacking(log: Log) -> str:
-    """State why there is nothing to compare, and what is needed."""
+    """Return a sentence on why nothing can be compared, and what is needed."""
     triads = [sensor for sensor in log.sensors.values() if sensor.is_triad and len(sensor)]
     span_s = max(((int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9 for sensor in triads), default=0.0)
     rate_hz = max((len(sensor) / span_s for sensor in triads), default=0.0) if span_s > 0 else 0.0
@@ -223,7 +230,7 @@ def _what_is_lacking(log: Log) -> str:
 
 
 def _detected_poses(log: Log) -> tuple[list[Phase], list[str]]:
-    """Static stretches of a log without noted ones, except the shortest, with notes."""
+    """Return the static stretches of a log without noted ones, except short ones, with notes."""
     try:
         rests = [pose.phase for pose in find_rests(log)]
     except CalibrationError:
@@ -238,7 +245,7 @@ def _detected_poses(log: Log) -> tuple[list[Phase], list[str]]:
 
 
 def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
-    """Yield the stretches between the static ones of a log, if they are as long as one."""
+    """Yield the stretches before, between and after the static ones of a log that are at least as long as a pose."""
     begin = min(int(sensor.time[0]) for sensor in log.sensors.values() if len(sensor))
     end = max(int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)) + 1
     starts, ends = [begin, *(phase.end_ns for phase in still)], [*(phase.start_ns for phase in still), end]
@@ -248,7 +255,7 @@ def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
 
 
 def _turns(phases: Sequence[Phase]) -> Iterator[Phase]:
-    """Yield the stretches between consecutive phases at rest, if they are as long as a rest."""
+    """Yield the stretches between consecutive phases at rest that are at least as long as a pose."""
     for before, after in pairwise(phases):
         between = Phase(before.end_ns, after.start_ns, TURN)
         if is_at_rest(before) and is_at_rest(after) and between.end_ns - between.start_ns >= MIN_POSE_S * 1e9:
@@ -263,11 +270,11 @@ def _motions(rests: Sequence[Phase]) -> Iterator[Phase]:
 
 
 def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[PoseAttitude, ...], list[str]]:
-    """Return the attitudes of the box in the phases at rest, and notes on how they are known; empty where `motion`
+    """Return the attitudes of the box in the phases at rest, and notes on how they were obtained; empty if `motion`
     follows a track.
 
-    Tables are not level and boxes not square: a noted face is tilted as the accelerometers say, if that is within
-    `MOST_TILT_DEG` of it.
+    Tables are not level and boxes are not square: on a noted face, the tilt is estimated from the accelerometers and
+    used if it is at most `MOST_TILT_DEG`.
     """
     still = [phase for phase in phases if is_at_rest(phase)]
     if motion.source != "phases":
@@ -298,7 +305,7 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
 
 
 def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> PoseAttitude:
-    """Return the estimated attitude, or the noted face if that is further off than a tilt."""
+    """Return the estimated attitude, or the noted face if the estimate differs from it by more than a tilt."""
     x, y, z = estimate
     if noted is not None and np.dot(noted, estimate) < np.cos(np.radians(MOST_TILT_DEG)):
         return PoseAttitude(phase, noted, estimated=False)

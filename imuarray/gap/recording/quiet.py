@@ -1,9 +1,9 @@
 """The quiet part of a phase at rest.
 
-Labels are set by hand, a second early or late, and a box at rest is touched, or stands on a table at which somebody
-types or on a vehicle whose engine starts. Nothing of that is in a simulation. A noise that rises in a single sensor is
-that sensor's; at moments at which it rises in several at once, the box is not at rest: these are left out, as are the
-ends of a phase in which the box still moves.
+Labels are set by hand, a second early or late. A box at rest is touched, or stands on a desk at which somebody types,
+or on a vehicle whose engine starts. A simulation contains none of these. If the noise of a single sensor rises, the
+sensor causes it. If the noise of several sensors rises at the same time, the box is not at rest: these times are left
+out, as are the ends of a phase in which the box still moves.
 """
 
 from __future__ import annotations
@@ -21,37 +21,39 @@ from imuarray.log.format import Phase
 from imuarray.units import INERTIAL, SI_PER_UNIT
 
 _BLOCK_S, _BLOCK_ROWS, _MOST_BLOCKS = 0.3, 32.0, 50_000
-"""Least length of a block and least rows of the slowest sensor in it, and the most blocks of a phase."""
+"""Least length of a block in s, least number of rows of the slowest sensor in it, and the largest number of blocks of a
+phase.
+"""
 
 _FEWEST_EDGES = 4
-"""Edges of three blocks, the fewest of which one can be quieter than the others."""
+"""Fewest edges of blocks, those of three blocks: with fewer, none can be quieter than the others."""
 
 _QUIETEST, _LOUDER = 0.1, 1.5
-"""Share of the blocks that are as quiet as the box can be, and the ratio to their variance from which on a block is
-restless; more where few rows tell a variance.
+"""Quantile of the variances of the blocks that is the noise of a box at rest, and the ratio to it from which on a block
+is restless. The ratio is larger if a variance is estimated from few rows.
 """
 
 _CERTAIN, _AT_QUIETEST, _VARIANCES = 3.0, 1.3, 3.0
-"""Standard deviations by which the variance of a block is beyond chance, those by which the quietest are below the
-mean, and rows times the squared relative standard deviation of a variance of steps.
+"""Number of standard deviations by which a variance exceeds chance, number of those by which the quantile is expected
+below the mean, and the product of the rows and the squared relative standard deviation of a variance of steps.
 """
 
 _SHARE = 1 / 3
-"""Least share of the sensors, two at least, that are restless together."""
+"""Least share of the sensors, and at least two of them, in which a block has to be restless."""
 
 _MOVES: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 0.009})
-"""Change of the mean reading (m/s2; rad/s: 0.5 dps) that is a motion and no drift."""
+"""Least change of the mean reading (m/s2; rad/s: 0.5 dps) that is a motion rather than a drift."""
 
 _HAND_S, _LEAST_S = 3.0, 2.0
-"""Longest time at an end of a phase by which a label may be early or late, and the shortest rest that is cut."""
+"""Longest time, in s, by which a label may be early or late, and shortest rest, in s, that remains after a cut."""
 
 _AROUND_S = 0.5
-"""Time beside restless blocks that is left out too."""
+"""Time before and after restless blocks that is left out too, in s."""
 
 
 class QuietRest(NamedTuple):
-    """A phase at rest without its restless ends, from and until when, in ns, it is restless in between, and how long
-    all of that is.
+    """A phase at rest without its restless ends; `restless` are the spans (begin, end), in ns, in between that are left
+    out, and `left_out_s` is the total time left out, ends included.
     """
 
     phase: Phase
@@ -60,7 +62,7 @@ class QuietRest(NamedTuple):
 
 
 def quiet_rest(triads: Sequence[SensorLog], rest: Phase) -> QuietRest:
-    """Return the quiet part of a phase at rest by these sensors; all of it where fewer than two were read."""
+    """Return the quiet part of a phase at rest according to these sensors; all of it if fewer than two were read."""
     inertial = [sensor for sensor in triads if sensor.quantity in INERTIAL]
     rows = {sensor: RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) for sensor in inertial}
     read = [sensor for sensor, count in rows.items() if count > _BLOCK_ROWS]
@@ -84,21 +86,23 @@ def quiet_rest(triads: Sequence[SensorLog], rest: Phase) -> QuietRest:
 
 
 class _Blocks(NamedTuple):
-    """Which blocks (b,) of a phase are restless by a sensor, and in which it moves."""
+    """The blocks (b,) of a phase that are restless according to a sensor, and those in which it measures a motion."""
 
     is_restless: Booleans
     moves: Booleans
 
 
 def _edges_ns(rest: Phase, rows: int) -> Integers:
-    """Return the edges of blocks of a phase in which the slowest sensor has so many rows."""
+    """Return the edges of the blocks of a phase; `rows` is the number of rows of its slowest sensor."""
     seconds = (rest.end_ns - rest.start_ns) * 1e-9
     block_s = max(_BLOCK_S, _BLOCK_ROWS * seconds / rows, seconds / _MOST_BLOCKS)
     return np.linspace(rest.start_ns, rest.end_ns, int(seconds / block_s) + 1).astype(np.int64)
 
 
 def _blocks_of(sensor: SensorLog, edges_ns: Integers) -> _Blocks:
-    """Return the blocks of a sensor, by the rows that differ from the one before: held readings are not quiet."""
+    """Return the blocks of a sensor, judged by the rows that differ from the one before: a repeated reading is not
+    quiet.
+    """
     sums = np.zeros((len(edges_ns) - 1, 8))
     for block in RecordedSource(sensor).blocks(int(edges_ns[0]), int(edges_ns[-1])):
         counts = np.asarray(block.counts, float)
@@ -121,7 +125,7 @@ def _blocks_of(sensor: SensorLog, edges_ns: Integers) -> _Blocks:
 
 
 def _cut(is_restless: Booleans, moves: Booleans, edges_ns: Integers) -> int:
-    """Return how many blocks at the beginning are not at rest."""
+    """Return the number of blocks at the beginning that are not at rest."""
     cut = int(np.argmin(is_restless | moves)) if not (is_restless | moves).all() else 0
     block_s = float(edges_ns[1] - edges_ns[0]) * 1e-9
     if np.count_nonzero(~is_restless[:cut]) * block_s > _HAND_S:
@@ -130,9 +134,7 @@ def _cut(is_restless: Booleans, moves: Booleans, edges_ns: Integers) -> int:
 
 
 def _spans(is_restless: Booleans, edges_ns: Integers, first: int, stop: int) -> tuple[tuple[int, int], ...]:
-    """Return the restless spans between these blocks, those that touch each other as one, without what is before the
-    first edge or after the last.
-    """
+    """Return the restless spans in these blocks, clipped to the first and the last edge, overlapping ones joined."""
     around_ns = round(_AROUND_S * 1e9)
     spans: list[tuple[int, int]] = []
     for at in (np.flatnonzero(is_restless[first:stop]) + first).tolist():
