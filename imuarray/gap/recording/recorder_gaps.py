@@ -1,15 +1,17 @@
-"""Gaps in a log that the recorder made: no sensor was read in them, and no simulation of the log reads one either.
+"""Gaps in a log that the recorder caused: it read no sensor in them, and neither does a simulation of the log.
 
-A row that one sensor lacks while the others were read is lost, which the simulator may lack. If no sensor was read,
-nothing is known of the sensors: the recorder's timing is a nuisance quantity and becomes a note. A gap is the
-recorder's if every other sensor that was due is missing as well, or if an event of the logger reports missed frames.
-So is one within the period of a slow chip that is polled more often than it measures: no reading was lost. Neither was
-one of a queue that is not said to have overflowed: the recorder works its times out from those of the polls, and the
-first of these are not yet even.
+If one sensor lacks a row while the others were read, the row is lost, and the simulator may fail to lose it. If no
+sensor was read, the gap says nothing about the sensors: the recorder's timing is a nuisance quantity, and the gap
+becomes a note. A gap is the recorder's if all other sensors that were due are missing as well, or if an event of the
+logger reports missed frames.
+
+Two other kinds of gap contain no lost row. One is a gap within the period of a slow chip that is polled more often than
+it measures. The other is a gap of a queue that reports no overflow: the recorder computes its times from those of the
+polls, and the first of these times are not yet even.
 
 A reading that was requested before a stall of the recorder and received after it has the time of the middle of the
-stall, which may be wrong by half of it: it lies between two long intervals. Whether the next row is a new reading
-depends on when this one was taken. Neither row is compared.
+stall, which may be wrong by half of it; it lies between two long intervals. Whether the next row is a new reading
+depends on the time of this one. Neither row is compared.
 """
 
 from __future__ import annotations
@@ -30,30 +32,33 @@ from imuarray.log.missed_frames import MISSED
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 MISSING = 1.5
-"""Interval of another sensor around the middle of a gap, in its usual intervals, from which on it is missing too."""
+"""Least interval of another sensor around the middle of a gap, in its usual intervals, at which it is missing too."""
 
 DUE = 0.6
-"""Share of a gap: a sensor with a longer interval need not have been read in it."""
+"""Longest usual interval of a sensor that was due in a gap, as a share of the gap."""
 
 PERIOD, SLOWER = 1.1, 0.9
-"""Longest gap of a slow chip, in periods of its readings, in which none is lost; and the longest usual interval of its
-rows, in the same periods, that shows that it is polled more often.
+"""Longest gap of a slow chip in which no reading is lost, and longest usual interval of its rows at which it is polled
+more often than it measures; both in periods of its readings.
 """
 
 QUEUED = 1.2
-"""Least rate of rows, in rates of the frames, of a sensor that has a queue."""
+"""Least ratio of the rate of rows to that of frames at which a sensor has a queue."""
 
 EARLY = 0.9
-"""Share of the usual interval below which a row follows early: no reading was lost before it."""
+"""Share of the usual interval below which a row is early, so that no reading was lost before it."""
 
 CHANCE = 0.01
-"""Probability with which sensors that lose rows independently have as many gaps in common."""
+"""Largest probability of the number of common gaps, for sensors that lose rows independently, at which common gaps are
+attributed to the recorder.
+"""
 
 _DELAYED = re.compile(r"\b(late|miss(ed|ing)|stall(ed|s)?|delay(ed|s)?|busy)\b", re.IGNORECASE)
-"""Words for a delay of the recorder in the kind or message of an event; "late" is the kind of this logger."""
+"""Pattern for a delay of the recorder in the kind or message of an event; "late" is the kind that this logger writes.
+"""
 
 _SPAN = re.compile(r"missed in ([\d.]+) s")
-"""The part of an event that reports all delays of a period together."""
+"""Pattern for the duration in an event that reports all delays of a period together."""
 
 
 class _Gap(NamedTuple):
@@ -71,9 +76,9 @@ class _Gap(NamedTuple):
 class RecorderGaps:
     """Timelines without the recorder's gaps.
 
-    `lines`: the timelines of sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times (k,)
-    of the first rows after them; `note` on the gaps, "" where there are none. `uncertain_ns`: by sensor the times (u,)
-    of rows that were read in a gap, at an unknown moment, and of the rows after these.
+    `lines`: the timelines of the sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times
+    (k,) of the first rows after them; `note`: a sentence on the gaps, "" without any; `uncertain_ns`: by sensor the
+    times (u,) of rows that were read in a gap at an unknown moment, and of the rows that follow them.
     """
 
     lines: Mapping[str, Timeline]
@@ -119,7 +124,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
 
 
 def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -> Integers:
-    """Return the times of rows before a gap that follow the row before late as well, and of the rows after the gap."""
+    """Return the times of rows before a gap that were late themselves, and of the rows after these gaps."""
     times = []
     for gap in gaps:
         row = sensor.between(gap.begin_ns, gap.begin_ns).start
@@ -134,7 +139,7 @@ def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
 
 
 def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
-    """Return whether a chip of that rate has no reading in the gap that is not read before or after it."""
+    """Return whether no reading of a chip with this rate was lost in the gap."""
     if rate_hz <= 0:
         return False
     period_ns = 1e9 / rate_hz
@@ -142,7 +147,7 @@ def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
 
 
 def _overflowed(sensor: SensorLog, gap: _Gap) -> bool:
-    """Return whether the row after the gap says that rows were lost before it."""
+    """Return whether a flag of the row after the gap reports lost rows."""
     row = sensor.between(gap.end_ns, gap.end_ns + 1).start
     return bool(row < len(sensor) and int(sensor.status[row]) & (OVERRUN | LOST_BEFORE))
 
@@ -164,25 +169,25 @@ def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
 
 
 def _lost_share(sensor: SensorLog, usual_ns: float, gap_ns: float) -> float:
-    """Return the share of a log's time in which a sensor lacks rows, except for one gap of this length."""
+    """Return the share of a log's time in which a sensor lacks rows, not counting one gap of length `gap_ns`."""
     span_ns = int(sensor.time[-1]) - int(sensor.time[0])
     return max(1 - ((len(sensor) - 1) * usual_ns + gap_ns) / span_ns, 0.0)
 
 
 def usual_interval_ns(sensor: SensorLog) -> float:
-    """Return the median of a sensor's first intervals, 0 without two rows."""
+    """Return the median of a sensor's first intervals in ns; 0 with fewer than two rows."""
     return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
 
 
 def _is_delay(event: Event) -> bool:
-    """Return whether an event reports a delay of the recorder: it names no sensor."""
+    """Return whether an event reports a delay of the recorder; such an event names no sensor."""
     return not event.sensor and bool(_DELAYED.search(event.kind) or _DELAYED.search(event.message))
 
 
 def _delay(event: Event, frame_ns: float) -> _Gap:
-    """Return the period in which the logger was late according to an event, which it reports at the end: the missed
-    frames, or the seconds in which frames were missed. The rows of a queue that overflowed are missing from its
-    beginning.
+    """Return the period in which the logger was late according to an event, which it writes at the end. Its length is
+    that of the missed frames, or the duration that the event states. If a queue overflowed, its rows are missing from
+    the beginning of the period.
     """
     missed, span = MISSED.match(event.message), _SPAN.search(event.message)
     length_ns = float(span[1]) * 1e9 if missed and span else int(missed[2]) * frame_ns if missed else 0.0

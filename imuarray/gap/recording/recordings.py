@@ -1,9 +1,10 @@
-"""Recorded logs as the diagnosis reads them: what was done in each, which sensors were read when, the box's attitudes.
+"""Recorded logs in the form that the diagnosis needs: what was done in each, when each sensor was read, and the box's
+attitudes.
 
-Notes in a log are believed: phases that name the axis that was up, `/truth` or `/reference` for the motion. Without
-them static poses are detected and their attitudes estimated from the accelerometers
-(`imuarray.gap.recording.attitude`), and a motion without a track from several sensors
-(`imuarray.gap.recording.movement`). Every such decision is a note.
+Notes in a log are trusted: phases that name the axis that was up, and `/truth` or `/reference` for the motion. Without
+them, static poses are detected and their attitudes estimated from the accelerometers
+(`imuarray.gap.recording.attitude`), and a motion without a track is estimated from several sensors
+(`imuarray.gap.recording.movement`). Each of these decisions becomes a note.
 """
 
 from __future__ import annotations
@@ -53,41 +54,44 @@ Temperature = Callable[[Times], Reals]
 
 
 _DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 8.0, 10_000, 16
-"""Standard errors of a difference by which the means of a drifting axis differ in sections of a phase at rest; most
-rows of a section that are read, and fewest that say anything.
+"""A drift is detected if the means of an axis in sections of a phase at rest differ by this number of standard errors
+of a difference. Then the largest and the smallest number of rows of a section that are used.
 """
 
 _PARTS = 8
-"""Parts of a section whose means tell the memory of the noise."""
+"""Number of parts of a section. The differences of their means show whether the noise is correlated over time."""
 
 _OTHER_COURSE = 0.2
-"""Largest deviation of two axes from a common course, as a share of the smaller drift, if they follow one temperature:
-thermal lags and curved slopes differ a little.
+"""Largest deviation of two axes from a common course, as a share of the smaller drift, at which both follow one
+temperature. Thermal lags and curved slopes cause small deviations.
 """
 
 _SECTIONS, _STEP_SHARE = 24, 0.8
-"""Sections of a phase, and the share of its change within two of them from which on it is a step and no drift: heat
-takes a time constant.
+"""Number of sections of a phase, and the share of its total change within two sections above which it is a step, not a
+drift: a change of temperature takes a time constant.
 """
 
 
 UNREFERENCED: Collection[TemperatureSource] = ("chip", "nothing")
-"""Sources of a temperature that is no reference: the chips' own thermometers, and an assumption."""
+"""Sources of a temperature that is not a reference: the chips' own thermometers, and an assumed value."""
 
 
 CHIP_LEAD_S = 5.0
-"""Time constant with which a chip's own thermometer usually follows the temperature of the box. In a heated log without
-a reference temperature, the box has the temperature that such a thermometer follows with this lag. Elements that
-respond faster than that chip then have a positive lag too; this one is used where readings determine none.
+"""Time constant, in s, with which a chip's own thermometer usually follows the temperature of the box. In a heated log
+without a reference temperature, the box is assumed to have the temperature that this thermometer follows with this lag.
+Elements that respond faster than the chip then have a positive lag too. The value is used where readings determine
+none.
 """
 
 _SETTLING, _MOST_SETTLING = 5.0, 1000
-"""Time constants of its filter in which a chip settles after it was switched on, and the most rows of that time."""
+"""Number of time constants of its filter in which a chip settles after power-on, and the largest number of rows that
+are left out for it.
+"""
 
 
 class LogReference(NamedTuple):
-    """The references beside the sensors of a log: `temperature`, motion by the `track` of an instrument, or that which
-    the array's own sensors show between attitudes, `turned`.
+    """The references of a log: the `temperature`; the `track` of an instrument's motion; and `turned`, the motion that
+    the array's own sensors show between attitudes.
     """
 
     temperature: Temperature
@@ -98,9 +102,10 @@ class LogReference(NamedTuple):
 class Experiment(NamedTuple):
     """The plan of one log (which sensors were read when) and the motion of the box.
 
-    `uncertain_ns`: by sensor the times (u,) of rows that are not compared, since nobody knows when they were read
-    (`imuarray.gap.recording.recorder_gaps`), or the chip's filter had not settled. `has_temperature`: whether the log
-    has a reference temperature; without one, the box may have been heated all the same (`is_heated`).
+    `uncertain_ns`: by sensor the times (u,) of rows that are not compared, because they were read at an unknown time
+    (`imuarray.gap.recording.recorder_gaps`), the box was touched, or the chip's filter had not settled.
+    `has_temperature`: whether the log has a reference temperature; without one, the box may still have been heated
+    (`is_heated`).
     """
 
     plan: Plan
@@ -110,17 +115,17 @@ class Experiment(NamedTuple):
     is_heated: bool = False
 
     def comparable_rows(self, name: str, source: Source) -> Source:
-        """Return the rows of a sensor, recorded or simulated, without these."""
+        """Return the rows of a sensor, recorded or simulated, without the rows at uncertain times."""
         return RowFilter(source, self.uncertain_ns[name]) if name in self.uncertain_ns else source
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded log, named as its file; the log stays open.
+    """A recorded log with the name of its file; the log stays open.
 
-    `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` the stretches that are compared,
-    `experiment` what a simulation of it needs, lost rows included, `notes` what was assumed or left out; `gap_ends_ns`
-    by sensor the times of the first rows after gaps of the recorder.
+    `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` are the stretches that are compared,
+    `experiment` is what a simulation of the log needs, lost rows included, `notes` say what was assumed or left out,
+    `gap_ends_ns` has by sensor the times of the first rows after gaps of the recorder.
     """
 
     name: str
@@ -138,14 +143,14 @@ class Recording:
 
     @property
     def has_reference_temperature(self) -> bool:
-        """True if the temperature comes from more than the chips' own thermometers."""
+        """True if the temperature has another source than the chips' own thermometers or an assumption."""
         return self.temperature_source not in UNREFERENCED
 
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
-    """Read one log: all its triads, or `only` those named.
+    """Read one log: all its triads, or only those named in `only`.
 
-    LogError for a sensor that the log does not have, and for a log in which nothing can be compared.
+    Raises LogError for a sensor that the log does not have, and for a log in which nothing can be compared.
     """
     chosen, left_out = _chosen_sensors(log, only)
     chosen, processed = _without_processed(log, chosen)
@@ -198,8 +203,8 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:
     """Read several logs of one array, in the order of recording if all of them have a date.
 
-    A sensor that a log lacks is left out there, with a note. LogError for a sensor that no log has, for one configured
-    differently in another log, and for a log without a sensor in common with the others.
+    A sensor that a log lacks is left out there, with a note. Raises LogError for a sensor that no log has, for a sensor
+    that is configured differently in another log, and for a log without a sensor in common with the others.
     """
     recordings: list[Recording] = []
     first: dict[str, SensorLog] = {}
@@ -224,8 +229,8 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
 
 
 def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Return the recordings except heatings without a temperature, noted or not; if there are no others, these as
-    heated by an unknown course.
+    """Return the recordings without those that were heated while no temperature was recorded, whether noted or
+    detected. If none remains, return all of them, marked as heated by an unknown course of temperature.
     """
     known: list[Recording] = []
     notes: list[str] = []
@@ -251,8 +256,8 @@ def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recor
 
 
 def drifts_together(recording: Recording) -> bool:
-    """Return whether most sensors drift by many standard errors in the same phase at rest, or two axes of the only
-    sensor do along one course.
+    """Return whether most sensors drift by many standard errors in the same phase at rest or, if only one sensor was
+    read, whether two of its axes drift along one course.
     """
     sensors = [recording.log[name] for name in recording.experiment.plan.sensors]
     for phase in filter(is_at_rest, recording.phases):
@@ -265,7 +270,7 @@ def drifts_together(recording: Recording) -> bool:
 
 
 def _follows_one_course(means: Floats) -> bool:
-    """Return whether means (k, s) of k axes in s sections, in standard errors, are multiples of one course, but for
+    """Return whether the means (k, s) of k axes in s sections, in standard errors, are multiples of one course within
     chance.
     """
     _, second, *_ = np.linalg.svd(means - means.mean(axis=1, keepdims=True), compute_uv=False)
@@ -273,8 +278,8 @@ def _follows_one_course(means: Floats) -> bool:
 
 
 def _drifting_axes(sensor: SensorLog, phase: Phase) -> Floats:
-    """Means (k, s) of the k axes that drift in s sections of a phase, in their standard errors: these differ by many of
-    them, by the scatter of neighbouring readings, and not by a step. No axes if there are few rows.
+    """Return the means (k, s), in standard errors, of the k axes that drift in s sections of a phase. A drift is a
+    difference of many standard errors that is not a step. Without enough rows, no axis is returned.
     """
     edges_ns = np.linspace(phase.start_ns, phase.end_ns, _SECTIONS + 1).astype(np.int64).tolist()
     sections = [np.asarray(sensor.counts[sensor.between(*ends)][:_DRIFT_ROWS], float) for ends in pairwise(edges_ns)]
@@ -289,8 +294,8 @@ def _drifting_axes(sensor: SensorLog, phase: Phase) -> Floats:
 
 
 def _variance_of_mean(section: Floats) -> Floats:
-    """The variance (3,) of the mean of readings (n, 3), by neighbouring readings or, where noise has a memory, by the
-    means of neighbouring parts.
+    """Return the variance (3,) of the mean of readings (n, 3), estimated from neighbouring readings, or from the means
+    of neighbouring parts if that is larger because the noise is correlated over time.
     """
     white = np.maximum(np.diff(section, axis=0).var(axis=0) / 2, 1 / 12) / len(section)
     parts = np.array([part.mean(axis=0) for part in np.array_split(section, _PARTS)])
@@ -298,8 +303,8 @@ def _variance_of_mean(section: Floats) -> Floats:
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
-    """Raise LogError if the earlier recordings are of another array: no sensor in common, or sensors configured
-    differently.
+    """Raise LogError if the earlier recordings are of another array: it has no sensor in common, or its sensors are
+    configured differently.
     """
     sensors = {name: recording.log[name] for recording in earlier for name in recording.experiment.plan.sensors}
     for recording in recordings:
@@ -323,19 +328,19 @@ def temperature_of(motion: Motion) -> Temperature:
 
 
 def reference_of(motion: Motion) -> LogReference:
-    """Return the temperature of a motion, and the motion itself if it is a track of the log or has attitudes."""
+    """Return the temperature of a motion, and the motion itself if it is a log's track or a sequence of attitudes."""
     is_tracked = isinstance(motion, LikeLog) and motion.source != "phases"
     turned = motion if isinstance(motion, PoseSequence) else None
     return LogReference(temperature_of(motion), motion if is_tracked else None, turned)
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:
-    """Return the rows of a recording's sensors, in the form in which a simulation has them.
+    """Return the rows of a recording's sensors in the form of a simulation.
 
-    Without the counts of thermometers whose scale is unknown or that are the only source of the temperature, and
-    without the flag of lost rows after gaps of the recorder; rows that arrived in bursts get the times at which they
-    were read. The flag of lost rows is set after every gap in which rows were lost, as in a simulation that loses them,
-    whether or not the recorder sets it.
+    The counts of thermometers are removed if their scale is unknown or they are the only source of the temperature, and
+    the flag of lost rows is removed after gaps of the recorder. Rows that arrived in bursts get the times at which they
+    were read. The flag of lost rows is set after each gap in which rows were lost, as in a simulation that loses them,
+    whether or not the recorder set it.
     """
     sources: dict[str, Source] = {}
     for name, (header, line) in recording.experiment.plan.sensors.items():
@@ -351,7 +356,7 @@ def sources_of(recording: Recording) -> dict[str, Source]:
 
 
 def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int], ...]:
-    """Return the stretches in which the box stands still although the reference that is followed has noise."""
+    """Return the stretches, in ns, in which the box is at rest although the reference that is followed has noise."""
     if motion.source != "reference":
         return ()
     still = [phase for phase in phases if is_at_rest(phase) and not moves_by_track(phase, motion)]
@@ -359,8 +364,8 @@ def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int]
 
 
 def _without_shaken(log: Log, sensors: Sequence[str], quantities: Collection[str]) -> tuple[list[str], list[str]]:
-    """Return the sensors without those of quantities that are shaken in all phases at rest, with a note, if others
-    remain.
+    """Return the sensors without those of quantities that are shaken in all phases at rest, with a note. If none would
+    remain, all are kept.
     """
     shaken = [name for name in sensors if log[name].quantity in quantities]
     if not shaken or len(shaken) == len(sensors):
@@ -370,12 +375,12 @@ def _without_shaken(log: Log, sensors: Sequence[str], quantities: Collection[str
 
 
 def _times_within(sensor: SensorLog, span_ns: tuple[int, int]) -> Times:
-    """Return the times of a sensor's rows from the first of these moments until the second."""
+    """Return the times of a sensor's rows within a span (begin, end) in ns."""
     return np.asarray(sensor.time[sensor.between(*span_ns)], np.int64)
 
 
 def _settling_ns(header: SensorHeader, line: Timeline) -> Times:
-    """Return the times of the first rows of a log, in which the filter of a chip that was switched on may settle."""
+    """Return the times of the first rows of a log, in which the filter of a chip may still settle after power-on."""
     if header.bandwidth_hz <= 0 or not line.rows:
         return np.zeros(0, np.int64)
     settling_s = _SETTLING / (2 * math.pi * header.bandwidth_hz)
@@ -384,14 +389,16 @@ def _settling_ns(header: SensorHeader, line: Timeline) -> Times:
 
 
 FEWEST_READINGS = 10
-"""Fewest readings of a sensor that is compared: five for the fit and five for the check."""
+"""Fewest readings of a sensor at which it is compared: five for the fit and five for the check."""
 
 
 class _Comparable:
-    """A source without what can't be compared: its thermometer's counts, unless it `has_temperature`. The flag of lost
-    rows is removed from the rows at `gap_ends_ns` (k,), and set in those at `loss_ends_ns` (l,). It is removed from
-    rows that follow the one before earlier than usual (`early_ns`), too: a recorder that was delayed within a frame
-    reports the frames that it missed with the next one.
+    """A source without what can't be compared.
+
+    Its thermometer's counts are removed unless it `has_temperature`. The flag of lost rows is removed from the rows at
+    `gap_ends_ns` (k,) and set in those at `loss_ends_ns` (l,). It is also removed from rows that follow the row before
+    by less than `early_ns`: a recorder that was delayed within a frame reports the frames that it missed with the next
+    one.
     """
 
     def __init__(
@@ -440,8 +447,9 @@ def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[st
 
 
 def _without_processed(log: Log, names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The sensors with readings as a chip gives them, and notes on those that a program processed: a simulated chip
-    would differ from them by that, and every cause would be false. LogError if no sensor remains.
+    """Return the sensors with readings as a chip gives them, and notes on those that a program processed. A simulated
+    chip would differ from processed readings by the processing, and every cause would be false. Raises LogError if no
+    sensor remains.
     """
     if log.source != "imported":
         return list(names), []
@@ -462,10 +470,10 @@ def _without_processed(log: Log, names: Sequence[str]) -> tuple[list[str], list[
 def _without_unknown_field(
     log: Log, names: Sequence[str], phases: Sequence[Phase], *, heated: bool
 ) -> tuple[list[str], list[str]]:
-    """Return the sensors whose input is known, and notes on the others.
+    """Return the sensors for which the input is known, and notes on the others.
 
-    No log records the magnetic field while the box moves, or in a box that is heated on several faces, since a
-    magnetometer's scale follows the temperature (HMC-57). LogError if no sensor remains.
+    No log records the magnetic field while the box moves. The field is also unknown in a box that is heated on several
+    faces, because a magnetometer's scale follows the temperature (HMC-57). Raises LogError if no sensor remains.
     """
     moves = any(map(is_motion, phases))
     if not moves and not (heated and len(phases) > 1):

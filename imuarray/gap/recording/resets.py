@@ -1,5 +1,5 @@
-"""Stretches of a recorded log in which a chip had lost its configuration, as its recorder noticed: from which row on
-its readings show it, and the readings before.
+"""Stretches of a recorded log in which a chip had lost its configuration, according to the recorder's flags: the row
+from which on the readings show it, and the readings before and in the stretch.
 """
 
 from __future__ import annotations
@@ -15,24 +15,26 @@ from imuarray.log import SensorLog
 from imuarray.log.format import RECONFIGURED, STALE, SUSPECT
 
 MOST = 64
-"""The most resets of a log that are kept, the first."""
+"""Largest number of resets of a log that are kept, the first ones."""
 
 _BEFORE, _WITHIN = 16, 4096
-"""Rows before and within a stretch that are used."""
+"""Largest number of rows before and within a stretch that are used."""
 
 _FEWEST = 8
 _FAR = 6.0
-"""Distance from the readings before, in standard deviations on some axis, of a chip that is configured differently."""
+"""Least distance from the readings before, in standard deviations on one axis, of a chip that is configured
+differently.
+"""
 
 _ROUNDED_LSB = 0.5
 
 
 class Reset(NamedTuple):
-    """A stretch of rows that the recorder doubts, from `doubt_s` on.
+    """A stretch of rows from `doubt_s` on that the recorder flags as doubtful.
 
-    The readings differ from `moment_s` until `end_s`, seconds since the log's epoch, between rows. `before` and
-    `within` (3,) are readings in counts, with their `noise_before` and `noise_within` (nan if they are too few).
-    `blank_s`: for how long the chip gave zeros at first.
+    The readings differ from `moment_s` until `end_s`; all three are times between rows, in s since the log's epoch.
+    `before` and `within` (3,) are the median readings in counts, `noise_before` and `noise_within` their noise (nan for
+    too few rows). `blank_s` is the time for which the chip returned zeros at first.
     """
 
     doubt_s: float
@@ -46,8 +48,10 @@ class Reset(NamedTuple):
 
 
 def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
-    """Return the resets of a sensor in the order of time. Stretches before which there are no readings are left out,
-    and those in which no reading changes, unless the chip was then set up again: it may have lost a filter's settings.
+    """Return the resets of a sensor in the order of time.
+
+    Stretches without readings before them are left out. Stretches in which no reading changes are left out too, unless
+    the chip was then set up again: it may have lost the settings of a filter.
     """
     resets: list[Reset] = []
     for begin, end in _doubtful_stretches(sensor):
@@ -90,7 +94,7 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
         return None
     changed = inside[rows[onset:]]
     since = int(rows[onset])
-    emptied = int(rows[onset - 1]) + 1 if onset else 0  # zeros in between come of the reset
+    emptied = int(rows[onset - 1]) + 1 if onset else 0  # zeros in between result from the reset
     within, noise_within = _middle(changed)
     if len(changed) < _FEWEST // 2:
         noise_within = np.full(3, np.nan)
@@ -99,8 +103,9 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
 
 
 def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
-    """Return the first of the readings (n, 3) within the stretch from which on all differ from those before; None if
-    none do. A short dip may end after the first reading.
+    """Return the index of the first of the readings (n, 3) within the stretch from which on all differ from those
+    before; None without one. If the median of the last readings does not differ, the last one alone is examined: a
+    short reset may show in one reading only.
     """
     for last_rows in (_FEWEST // 2, 1) if len(inside) else ():
         last = np.median(inside[-last_rows:], axis=0) - level
@@ -118,13 +123,15 @@ def _is_set_up_again(sensor: SensorLog, row: int) -> bool:
 
 
 def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> Booleans:
-    """Return which rows hold the zeros of a chip that has made no reading since its reset."""
+    """Return the mask of the rows that contain the zeros of a chip without a reading since its reset."""
     stale = (np.asarray(sensor.status[begin : begin + len(inside)]) & STALE) != 0
     return np.asarray(stale & (inside == 0).all(axis=1))
 
 
 def _middle(counts: Floats) -> tuple[Floats, Floats]:
-    """Return the median (3,) and robust scatter of readings (n, 3)."""
+    """Return the median (3,) and the robust standard deviation (3,) of readings (n, 3), which is at least that of
+    rounding.
+    """
     return np.asarray(np.median(counts, axis=0)), np.maximum(robust_std(counts), _ROUNDED_LSB)
 
 
@@ -133,8 +140,8 @@ def _counts(sensor: SensorLog, begin: int, end: int) -> Floats:
 
 
 def _between_s(sensor: SensorLog, row: int) -> float:
-    """Return the time half an interval before a row, from the interval of the two rows before it (the gap to the row
-    may be long).
+    """Return the time, in s, between a row and the row before it: half a usual interval after the latter. The usual
+    interval is that of the two rows before, because the gap to the row may be long.
     """
     first = max(min(row, len(sensor)) - 2, 0)
     times = np.asarray(sensor.time[first : first + 2], np.int64)

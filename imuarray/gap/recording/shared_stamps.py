@@ -1,8 +1,8 @@
-"""Rows that a sensor lost, by another sensor that is stamped together with it.
+"""Rows that a sensor lost, detected with another sensor that is stamped together with it.
 
 A program that reads two sensors at once, or writes them into one table, gives their rows equal stamps. A stamp that
-only one of them has is a lost row of the other, however irregular the stamps are: `imuarray.simulate.timeline.filled`
-recognises lost rows between regular ones only.
+only one of them has is a lost row of the other, however irregular the stamps are. `imuarray.simulate.timeline.filled`
+detects lost rows between regular rows only.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from imuarray.log import Log, SensorLog
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 MOST_LOST = 0.2
-"""Largest share of the other sensor's rows that were lost: a sensor with fewer rows is read less often."""
+"""Largest share of the other sensor's rows that may be lost: a sensor with fewer rows is read less often."""
 
 _FIRST_ROWS = 4096
-"""Rows by which most pairs of sensors without common stamps are recognised."""
+"""Number of first rows that are compared to reject most pairs of sensors without common stamps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,10 @@ class RowSelection:
 
 
 def add_lost_rows(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline]:
-    """Return the timelines of sensors, completed by the rows that they lost and a sensor with equal stamps has.
+    """Return the timelines of sensors with the rows that they lost, where another sensor has these rows and equal
+    stamps otherwise.
 
-    Timelines that already have lost rows stay as they are. Reads the stamps of sensors with common stamps once.
+    Timelines that already have lost rows are not changed. The stamps of sensors with common stamps are read once.
     """
     complete = dict(lines)
     names = [name for name, line in lines.items() if not isinstance(line, GapFilledTimes)]
@@ -68,8 +69,8 @@ def add_lost_rows(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline
 
 
 def _rows_of_other(sensor: SensorLog, other: SensorLog) -> Integers | None:
-    """Return the rows (n,) of the other sensor that have the stamps of a sensor with n rows, fewer than the other; None
-    if it has other stamps, or lost no row between two of its own.
+    """Return the rows (n,) of the other sensor with the same stamps as the n rows of a sensor, which has fewer rows.
+    None if a stamp is missing in the other sensor, or if the sensor lost no row between two of its own.
     """
     rows, of_other = len(sensor), len(other)
     if not (1 - MOST_LOST) * of_other <= rows < of_other or rows < 2:

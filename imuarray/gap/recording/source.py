@@ -1,7 +1,7 @@
-"""Rows of one sensor, from a log or from a simulation in memory, in the same blocks.
+"""Rows of one sensor, from a log or from a simulation in memory, in blocks of the same form.
 
-Recorded and simulated rows can go through the same statistics only if both come in the same form: times, counts and
-flags as they are, nothing resampled, never a whole log at once.
+Recorded and simulated rows can go through the same statistics only if both have the same form: times, counts and flags
+without resampling, and never a whole log at once.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Source(Protocol):
 
     @property
     def cache(self) -> dict[Hashable, Any]:
-        """Results already computed from its rows, by what they are; they live as long as the source."""
+        """Results already computed from its rows, by their keys; they are kept as long as the source exists."""
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         """Return the number of rows that were due in [start_ns, end_ns); a simulation counts dropped ones too."""
@@ -47,12 +47,14 @@ class Source(Protocol):
 
 
 DOUBTFUL = 0x8000
-"""Status of a row that the recorder flags as no new reading, and that is one: set by sources, in no file."""
+"""Status of a new reading that the recorder flags as not new. Sources set it; no file contains it."""
 
 
 class RecordedSource:
-    """A sensor of an open log. A row that is flagged as no new reading and differs from the one before is one: the
-    chip made it after its flag was read and before its data were. Its flag is left out.
+    """A sensor of an open log.
+
+    A row that is flagged as not new but differs from the row before is new: the chip measured it after its flag was
+    read and before its data were read. The flag is replaced by `DOUBTFUL`.
     """
 
     def __init__(self, sensor: SensorLog) -> None:
@@ -64,7 +66,7 @@ class RecordedSource:
         self._kind = np.int16 if sensor.count_bits <= 16 else np.int32
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Return rows that the log has there."""
+        """Return the number of rows of the log in [start_ns, end_ns)."""
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
@@ -89,7 +91,7 @@ class RecordedSource:
 
 
 class EvenSource:
-    """A sensor of an open log whose rows came in bursts, at the times at which they were read."""
+    """A sensor of an open log with rows that arrived in bursts; they get the times at which they were read."""
 
     def __init__(self, sensor: SensorLog, line: EvenRows | RowSelection) -> None:
         self.header = _header_in(sensor)
@@ -98,7 +100,7 @@ class EvenSource:
         self._line = line
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Return rows that were read there."""
+        """Return the number of rows that were read in [start_ns, end_ns)."""
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
@@ -118,7 +120,7 @@ class SimulatedSource:
     """A simulated triad whose rows are computed on demand."""
 
     def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG, demand: Demand = Demand.ANY) -> None:
-        """`flags` are those that the recorder sets."""
+        """Create the source; `flags` are those that the recorder sets."""
         self.header, self._demand = sensor.header, demand
         self._flags = flags & flags_of_chip(sensor.header.chip)
         self.cache: dict[Hashable, Any] = {}
@@ -126,12 +128,12 @@ class SimulatedSource:
         self._row_at = lru_cache(maxsize=64)(self._find_row)
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Return the number of rows that are read, whether or not they arrive."""
+        """Return the number of rows that are read in [start_ns, end_ns), lost ones included."""
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """Yield the simulator's own chunks, so that none is computed twice; flags as in a log, except that the row
-        before the first one is not compared with it.
+        """Yield the simulator's own chunks, so that none is computed twice. Flags are as in a log, except that the
+        first row is not compared with the row before it.
         """
         last = None
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
@@ -153,7 +155,7 @@ class SimulatedSource:
 
 
 class RowFilter:
-    """A source without its rows at the times `uncertain_ns` (u,), whose readings were taken at an unknown moment."""
+    """A source without its rows at the times `uncertain_ns` (u,), which were read at an unknown moment."""
 
     def __init__(self, source: Source, uncertain_ns: Times) -> None:
         self.header = source.header
@@ -161,11 +163,11 @@ class RowFilter:
         self._source, self._uncertain_ns = source, uncertain_ns
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Return the number of rows that were due, these among them."""
+        """Return the number of rows that were due, uncertain ones included."""
         return self._source.rows(start_ns, end_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """Yield the blocks of the source without these rows."""
+        """Yield the blocks of the source without the uncertain rows."""
         for block in self._source.blocks(start_ns, end_ns):
             is_certain = ~np.isin(block.time, self._uncertain_ns)
             if is_certain.all():
@@ -176,11 +178,10 @@ class RowFilter:
 
 
 def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:
-    """Return the flags (n,) of rows, with `DOUBTFUL` in place of that of a repeated row where a row differs from the
-    one before.
+    """Return the flags (n,) of rows, with `DOUBTFUL` instead of `STALE` in rows that differ from the row before.
 
-    Such a row was measured while it was read, after the chip's ready bit was: neither was a reading lost beside it,
-    whatever the chip says of the rows before and after it.
+    Such a row was measured between the reading of the chip's ready bit and that of its data. Therefore no reading was
+    lost next to it, and `OVERRUN` is removed from it and from both adjacent rows.
     """
     is_doubtful = is_new & ((flags & STALE) != 0)
     is_adjacent = is_doubtful.copy()
@@ -191,15 +192,16 @@ def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.ND
 
 
 def flags_of_chip(chip: str) -> int:
-    """Return the flags that tell something of a chip's rows. Nothing tells a recorder whether a reading of a chip
-    without a ready bit is new: some flag a row that equals the one before, others no row. How many are equal is counted
-    without the flag.
+    """Return the flags that are meaningful for a chip.
+
+    A recorder cannot determine whether a reading of a chip without a ready bit is new: some recorders flag a row that
+    equals the row before, others flag no row. Repeated rows are counted without the flag.
     """
     return EVERY_FLAG & ~STALE if chip in NO_READY_BIT else EVERY_FLAG
 
 
 def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenSource:
-    """Return the rows of a sensor of an open log, at the times that its timeline gives."""
+    """Return the rows of a sensor of an open log, at the times of its timeline."""
     reading = line.recorded if isinstance(line, GapFilledTimes) else line
     if isinstance(reading, EvenRows) or (isinstance(reading, RowSelection) and isinstance(reading.whole, EvenRows)):
         return EvenSource(sensor, reading)
@@ -207,7 +209,7 @@ def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenS
 
 
 def simulated_sources(simulation: Simulation, demand: Demand = Demand.ANY) -> dict[str, Source]:
-    """Return the triads of a simulation, by name, of which so many rows will be required."""
+    """Return the triads of a simulation by name; `demand` states which rows will be required."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
     return {name: SimulatedSource(sensor, simulation.plan.flags, demand) for name, sensor in triads}
 

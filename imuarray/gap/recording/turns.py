@@ -1,8 +1,8 @@
-"""Turns of the box from one attitude to the next, by the rates that a gyroscope reads in between.
+"""Turns of the box from one attitude to the next, compared with the rates that a gyroscope reads in between.
 
-At rest before and after a turn, gravity tells which direction of the box is up. In the box's frame that direction turns
-against the box: du/dt = u x w for the rate w. A gyroscope whose axes, signs or scale factors are not those of its
-header carries it elsewhere. A rotation about the vertical does not show.
+At rest before and after a turn, gravity determines the direction up in the box. In the box's frame this direction
+rotates opposite to the box: du/dt = u x w for the rate w. A gyroscope with other axes, signs or scale factors than
+those of its header rotates it to another direction. A rotation about the vertical has no effect.
 """
 
 from __future__ import annotations
@@ -20,26 +20,30 @@ from imuarray.arrays import Floats
 from imuarray.simulate.motion.posed import carry_up
 
 MOST_STEP_S = 0.3
-"""Longest interval over which a rate is taken as constant: a hand turns a box by a right angle in a second or two."""
+"""Longest interval, in s, over which a rate is assumed to be constant: a hand turns a box by a right angle in one or
+two seconds.
+"""
 
 _WRONG_MISS, _RIGHT_SHARE = 0.2, 0.25
-"""Mean miss from which on a gyroscope is not the one of its header, and the share of it that other axes leave at most:
-one of six right angles with the wrong sign makes a miss of a third.
+"""Least mean miss at which a gyroscope differs from its header, and the largest share of it that remains with other
+axes if these explain it. One of six right angles with the wrong sign makes a miss of a third.
 """
 
 _FACTORS = np.arange(-1.5, 2.51, 0.25)
-"""Factors of a reading that are tried: those of reversed axes, of axes that are not read, and of half a range."""
+"""Factors of a reading that are tried. They include those of reversed axes, of axes that are not read, and of half a
+range.
+"""
 
 _TURNED_RAD2 = 0.5
-"""Least sum of squared angles about an axis that tells its factor: one turn of 40 degrees."""
+"""Least sum of squared angles about an axis, in rad^2, that determines its factor: one turn of 40 degrees."""
 
 _LEAST_CURVATURE = 0.03
-"""Least second derivative of the mean miss with the factor: turns about the vertical have none."""
+"""Least second derivative of the mean miss with respect to the factor: turns about the vertical have none."""
 
 
 class Turn(NamedTuple):
-    """A turn: unit vectors `up_before` and `up_after` (3,), and the `rate` (s, 3) in rad/s in intervals of `step_s`, in
-    one frame, that of the box or of a sensor.
+    """A turn: unit vectors `up_before` and `up_after` (3,), and the `rate` (s, 3) in rad/s in intervals of `step_s`,
+    all in one frame, that of the box or that of a sensor.
     """
 
     up_before: Floats
@@ -49,8 +53,9 @@ class Turn(NamedTuple):
 
     @classmethod
     def of(cls, up_before: Floats, up_after: Floats, rate: Floats, seconds: float) -> Turn | None:
-        """Return a turn that takes so many seconds, by rates (s, 3) in equal parts of it; those without rows, which are
-        nan, get what lies between their neighbours. None if most are missing, or the parts are too long.
+        """Return a turn that takes `seconds`, from the rates (s, 3) in equal parts of it. Parts without rows, which are
+        nan, are interpolated between their neighbours. None if most are missing, or if the parts are longer than
+        `MOST_STEP_S`.
         """
         known = np.isfinite(rate).all(axis=1)
         if 2 * np.count_nonzero(known) <= len(rate) or seconds > MOST_STEP_S * len(rate):
@@ -61,21 +66,21 @@ class Turn(NamedTuple):
 
 
 def misses(turns: Sequence[Turn], responses: Floats) -> Floats:
-    """Return (m,) by how much the rates, multiplied by `responses` (m, 3, 3), miss the attitude after a turn: 1 less
-    the cosine of the angle, in the mean of the turns.
+    """Return how much the rates, multiplied by `responses` (m, 3, 3), miss the attitude after a turn: (m,), 1 less the
+    cosine of the angle, averaged over the turns.
     """
     return np.asarray(np.mean([1 - _carried(turn, responses) @ turn.up_after for turn in turns], axis=0))
 
 
 def _carried(turn: Turn, responses: Floats) -> Floats:
-    """Return (m, 3) the direction up after a turn."""
+    """Return the direction up (m, 3) after a turn."""
     angles = (turn.rate @ responses.swapaxes(1, 2) * turn.step_s).swapaxes(0, 1)
     return np.asarray(carry_up(np.tile(turn.up_before, (len(responses), 1)), angles)[-1])
 
 
 def likely_exchange(turns: Sequence[Turn]) -> Floats | None:
-    """Return the exchange of axes and signs (3, 3) by which readings become rates that carry up to where it is after
-    the turns; None where the nominal axes do, where no exchange does, and without turns.
+    """Return the exchange of axes and signs (3, 3) that converts readings to rates which agree with the attitudes after
+    the turns. None if the nominal axes agree, if no exchange does, and without turns.
     """
     if not turns:
         return None
@@ -86,8 +91,8 @@ def likely_exchange(turns: Sequence[Turn]) -> Floats | None:
 
 
 def factors_of(turns: Sequence[Turn]) -> Floats:
-    """Return the factor (3,) of each axis's rates by which the turns lead from each attitude to the next, the other
-    axes as they are; nan where the box hardly turns about an axis.
+    """Return the factor (3,) of each axis's rates with which the turns lead from each attitude to the next, with the
+    other axes unchanged; nan if the box hardly turns about an axis, or if the turns do not determine the factor.
     """
     factors = np.full(3, np.nan)
     angles = np.array([turn.rate.sum(axis=0) * turn.step_s for turn in turns]).reshape(-1, 3)
@@ -99,7 +104,7 @@ def factors_of(turns: Sequence[Turn]) -> Floats:
 
 
 def _least(miss: Floats) -> float:
-    """Return the factor of the least miss (f,), by a parabola; nan where it is flat."""
+    """Return the factor of the smallest miss (f,), by a parabola; nan if the miss is flat."""
     at = int(np.clip(miss.argmin(), 1, len(miss) - 2))
     below, least, above = miss[at - 1 : at + 2].tolist()
     step = float(_FACTORS[1] - _FACTORS[0])
@@ -111,8 +116,8 @@ def _least(miss: Floats) -> float:
 
 @cache
 def exchanges() -> Mapping[str, Floats]:
-    """Return the 47 exchanges of axes and signs by name, "+Y+X-Z", as matrices (3, 3) from what the axes should read to
-    what they read; right-handed ones first, since no chip is left-handed.
+    """Return the 47 exchanges of axes and signs by name, such as "+Y+X-Z", as matrices (3, 3) from what the axes should
+    read to what they read. Right-handed ones are first because no chip is left-handed.
     """
     matrices = {}
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
