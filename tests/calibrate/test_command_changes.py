@@ -59,8 +59,8 @@ def heating(tmp_path: Path) -> str:
 
 def report_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
     assert main([*arguments, "--json"]) == 0
-    found: dict[str, object] = json.loads(capsys.readouterr().out)
-    return found
+    result: dict[str, object] = json.loads(capsys.readouterr().out)
+    return result
 
 
 def test_turn_on_reports_changes_states_and_faults(

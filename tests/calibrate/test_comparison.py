@@ -41,8 +41,8 @@ def test_a_change_is_the_difference_over_both_standard_errors() -> None:
     """
     leaning = PER_G * np.array([[1, 0, 0], [0, 2053 / 2048, 0], [0, np.sin(np.radians(1)), np.cos(np.radians(1))]])
     later = sensor("A", bias_lsb=np.array([40.0, 0, 0]), bias_sem_lsb=np.full(3, 3.0), response_lsb_per_unit=leaning)
-    found = compare_calibrations({"march": calibration(sensor("A")), "june": calibration(later)})
-    figures = {(change.axis, change.figure): change for change in found.changes}
+    result = compare_calibrations({"march": calibration(sensor("A")), "june": calibration(later)})
+    figures = {(change.axis, change.figure): change for change in result.changes}
     bias = figures["x", "bias"]
     assert bias.changed and bias.sigmas == pytest.approx(40 / np.sqrt(13))
     assert (bias.difference, bias.unit) == (pytest.approx(40 / PER_G), "g")
@@ -97,8 +97,8 @@ def test_biases_are_compared_at_one_temperature() -> None:
     for known, changed in ((thermal, False), (None, True)):
         cold = sensor("A", temperature_degc=20.0, thermal=known)
         warm = sensor("A", temperature_degc=30.0, thermal=known, bias_lsb=np.full(3, 20.0))
-        found = compare_calibrations({"cold": calibration(cold), "warm": calibration(warm)})
-        assert [c.changed for c in found.changes if c.figure == "bias"] == [changed] * 3
+        result = compare_calibrations({"cold": calibration(cold), "warm": calibration(warm)})
+        assert [c.changed for c in result.changes if c.figure == "bias"] == [changed] * 3
 
 
 def files_of(changes: Floats, axes: tuple[str, ...]) -> dict[str, Calibration]:
@@ -116,8 +116,8 @@ def test_common_change_by_hand() -> None:
     remainder, +-1, 0, +-1: 4 / 2 = 2. Common variance (8 - 2) / 2 = 3; F = 4, 2 and 2 degrees of freedom: p = 1 / (1 +
     4).
     """
-    found = compare_calibrations(files_of(np.array([[-1.0, -3], [0, 0], [1, 3]]), ("+X+Y+Z", "+X+Y+Z")))
-    (x, _, _) = found.common
+    result = compare_calibrations(files_of(np.array([[-1.0, -3], [0, 0], [1, 3]]), ("+X+Y+Z", "+X+Y+Z")))
+    (x, _, _) = result.common
     assert (x.axis, x.units, x.chip) == ("x", ("A", "B"), "bma180 specific force")
     assert x.common * PER_G == pytest.approx(np.sqrt(3))
     assert x.own * PER_G == pytest.approx(np.sqrt(2))
@@ -128,12 +128,12 @@ def test_cancellation_of_opposed_axes_by_hand() -> None:
     """Own x of A and B change by (-1, -3), (0, 0), (1, 3) counts and oppose each other in the box, as y does not: alone
     sqrt((2 + 18) / 2 / 2) = 2.236, together half of the difference, sqrt(2 / 2) = 1; they correlate fully.
     """
-    found = compare_calibrations(files_of(np.array([[-1.0, -3], [0, 0], [1, 3]]), ("+X+Y+Z", "-X+Y-Z")))
-    assert [(pair.first, pair.second, pair.box_axis) for pair in found.opposed] == [
+    result = compare_calibrations(files_of(np.array([[-1.0, -3], [0, 0], [1, 3]]), ("+X+Y+Z", "-X+Y-Z")))
+    assert [(pair.first, pair.second, pair.box_axis) for pair in result.opposed] == [
         ("A x", "B x", "X"),
         ("A z", "B z", "Z"),
     ]
-    pair = found.opposed[0]
+    pair = result.opposed[0]
     assert pair.alone * PER_G == pytest.approx(np.sqrt(5))
     assert pair.together * PER_G == pytest.approx(1.0)
     assert pair.correlation == pytest.approx(1.0) and pair.p_value < 1e-6
@@ -145,9 +145,9 @@ def test_p_values_of_common_and_opposed_changes_are_uniform() -> None:
     rng = np.random.default_rng(6)
     common, opposed = [], []
     for _ in range(200):
-        found = compare_calibrations(files_of(rng.normal(0, 5.0, (4, 2)), ("+X+Y+Z", "-X+Y-Z")))
-        common.append(found.common[0].p_value)
-        opposed.append(found.opposed[0].p_value)
+        result = compare_calibrations(files_of(rng.normal(0, 5.0, (4, 2)), ("+X+Y+Z", "-X+Y-Z")))
+        common.append(result.common[0].p_value)
+        opposed.append(result.opposed[0].p_value)
     for chances in (common, opposed):
         assert np.mean(np.array(chances) < 0.05) == pytest.approx(0.05, abs=0.062)
 
@@ -170,11 +170,11 @@ def test_the_command_prints_and_writes_the_comparison(tmp_path: Path, capsys: py
         paths.append(str(tmp_path / f"{number}.toml"))
         file.save(paths[-1])
     assert main(["calibrate", "compare", *paths]) == 0
-    said = capsys.readouterr().out
-    assert f"1: {paths[0]}" in said
-    assert "A x            bias" in said and "+48.8281 mg" in said and "1 to 3" in said
-    assert "18 of 24 figures agree" in said
-    assert "A x and B x along X" in said and "common" in said
+    text = capsys.readouterr().out
+    assert f"1: {paths[0]}" in text
+    assert "A x            bias" in text and "+48.8281 mg" in text and "1 to 3" in text
+    assert "18 of 24 figures agree" in text
+    assert "A x and B x along X" in text and "common" in text
     assert main(["calibrate", "compare", *paths[:2], "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["opposed"][0]["p_value"] is None  # two calibrations always correlate
@@ -186,6 +186,6 @@ def test_the_command_prints_and_writes_the_comparison(tmp_path: Path, capsys: py
 
 def test_figures_of_only_one_calibration_are_omitted() -> None:
     noisy = replace(sensor("A"), noise_lsb=np.ones(3), noise_sem_lsb=np.full(3, 0.1))
-    found = compare_calibrations({"a": calibration(noisy), "b": calibration(sensor("A", bias_sem_lsb=None))})
-    assert {change.figure for change in found.changes} == {"scale factor", "lean to X", "lean to Y", "lean to Z"}
-    assert found.common == () and found.opposed == ()
+    result = compare_calibrations({"a": calibration(noisy), "b": calibration(sensor("A", bias_sem_lsb=None))})
+    assert {change.figure for change in result.changes} == {"scale factor", "lean to X", "lean to Y", "lean to Z"}
+    assert result.common == () and result.opposed == ()

@@ -81,21 +81,21 @@ def test_a_drift_is_estimated_within_its_errors() -> None:
     """48 axes of 1 and 3 counts rms, 40 s, in 1000 s: 95 % within two errors; fewer than 41 once in 400 seeds."""
     assert binom.cdf(40, 48, 0.95) < 1 / 400
     rng = np.random.default_rng(2)
-    found = [fitted(stretch(rng, 500, (1.0, 1.0, 3.0), 40.0)) for _ in range(16)]
-    off = np.array([(drift.rms_lsb - [1.0, 1.0, 3.0]) / drift.rms_sem_lsb for drift in found])
+    result = [fitted(stretch(rng, 500, (1.0, 1.0, 3.0), 40.0)) for _ in range(16)]
+    off = np.array([(drift.rms_lsb - [1.0, 1.0, 3.0]) / drift.rms_sem_lsb for drift in result])
     assert (np.abs(off) < 2).sum() >= 41
-    held = [drift.time_constant_interval_s[0] <= 40 <= drift.time_constant_interval_s[1] for drift in found]  # type: ignore[index]
+    held = [drift.time_constant_interval_s[0] <= 40 <= drift.time_constant_interval_s[1] for drift in result]  # type: ignore[index]
     assert sum(held) >= 12  # of 16; of 95 % once in 1000 seeds
-    assert np.exp(np.mean([np.log(drift.time_constant_s) for drift in found])) == pytest.approx(40.0, rel=0.3)
+    assert np.exp(np.mean([np.log(drift.time_constant_s) for drift in result])) == pytest.approx(40.0, rel=0.3)
 
 
 @pytest.mark.slow
 def test_white_noise_without_drift_gives_a_small_estimate() -> None:
     """White noise of 1 count: hardly an axis seems to drift (two errors), and none more than the noise of a mean."""
     rng = np.random.default_rng(3)
-    found = [fitted(stretch(rng, 400, (0.0, 0.0, 0.0), 40.0)) for _ in range(8)]
-    assert sum(int((drift.rms_lsb < 2 * drift.rms_sem_lsb).sum()) for drift in found) >= 19  # of 24
-    assert max(drift.rms_upper_lsb.max() for drift in found if drift.rms_upper_lsb is not None) < 1.0
+    result = [fitted(stretch(rng, 400, (0.0, 0.0, 0.0), 40.0)) for _ in range(8)]
+    assert sum(int((drift.rms_lsb < 2 * drift.rms_sem_lsb).sum()) for drift in result) >= 19  # of 24
+    assert max(drift.rms_upper_lsb.max() for drift in result if drift.rms_upper_lsb is not None) < 1.0
 
 
 def test_segments_of_different_levels_are_pooled() -> None:
@@ -148,10 +148,10 @@ def test_known_thermal_slopes_are_removed_before_the_drift(tmp_path: Path) -> No
         raw = calibrate_noise(log).sensors["G"].drift
         slopes = Thermal(SLOPE, np.ones(3), 25.0, (BIAS,) * 3, "reference")
         known = Calibration({"G": replace(nominal(log["G"]), thermal=slopes)})
-        told = calibrate_noise(log, known=known).sensors["G"].drift
-    assert raw is not None and told is not None and told.rms_upper_lsb is not None
+        corrected = calibrate_noise(log, known=known).sensors["G"].drift
+    assert raw is not None and corrected is not None and corrected.rms_upper_lsb is not None
     assert (raw.rms_lsb > 20).all()
-    assert (told.rms_upper_lsb < 1.0).all()  # the noise of a mean of 128 rows is 0.44
+    assert (corrected.rms_upper_lsb < 1.0).all()  # the noise of a mean of 128 rows is 0.44
 
 
 def test_an_open_interval_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

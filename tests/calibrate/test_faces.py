@@ -105,9 +105,9 @@ def table_10(tmp_path_factory: pytest.TempPathFactory) -> TumbleResult:
 @pytest.mark.parametrize("name", TABLE_3)
 def test_table_10_gives_table_3(table_10: TumbleResult, name: str) -> None:
     bias, scale, drift, open_lsb = TABLE_3[name]
-    found = table_10.calibration.sensors[name]
-    assert found.bias_lsb == pytest.approx(bias, abs=7e-4)
-    assert found.scale_lsb_per_unit == pytest.approx(scale, abs=6e-3)
+    result = table_10.calibration.sensors[name]
+    assert result.bias_lsb == pytest.approx(bias, abs=7e-4)
+    assert result.scale_lsb_per_unit == pytest.approx(scale, abs=6e-3)
     assert table_10.drift_lsb[name] == pytest.approx(drift, abs=open_lsb)
     assert table_10.method == "faces"
     assert table_10.poses == 7
@@ -116,11 +116,11 @@ def test_table_10_gives_table_3(table_10: TumbleResult, name: str) -> None:
 @pytest.mark.parametrize("name", TABLE_4)
 def test_table_10_gives_table_4(table_10: TumbleResult, name: str) -> None:
     bias, difference, drift = TABLE_4[name]
-    found = table_10.calibration.sensors[name]
-    assert found.bias_lsb == pytest.approx(bias, abs=7e-4)
-    assert found.g_sensitivity_lsb_per_g is not None
-    assert 2 * found.g_sensitivity_lsb_per_g == pytest.approx(np.array(difference), abs=8e-4)
-    assert found.g_sensitivity_sem_lsb_per_g is not None
+    result = table_10.calibration.sensors[name]
+    assert result.bias_lsb == pytest.approx(bias, abs=7e-4)
+    assert result.g_sensitivity_lsb_per_g is not None
+    assert 2 * result.g_sensitivity_lsb_per_g == pytest.approx(np.array(difference), abs=8e-4)
+    assert result.g_sensitivity_sem_lsb_per_g is not None
     assert table_10.drift_lsb[name] == pytest.approx(drift, abs=3e-4)
 
 
@@ -149,11 +149,11 @@ def test_errors_agree_with_the_stated_uncertainty(write_log: WriteLog) -> None:
         fitted = calibrate_tumble(log).calibration.sensors
     bias, response = [], []
     for part in parts:
-        found = fitted[part.header.name]
-        assert found.bias_sem_lsb is not None and found.response_sem_lsb_per_unit is not None
-        bias.append((found.bias_lsb - part.bias) / found.bias_sem_lsb)
-        error = found.response_lsb_per_unit - part.response
-        response.append(error[:, 0] / found.response_sem_lsb_per_unit)
+        result = fitted[part.header.name]
+        assert result.bias_sem_lsb is not None and result.response_sem_lsb_per_unit is not None
+        bias.append((result.bias_lsb - part.bias) / result.bias_sem_lsb)
+        error = result.response_lsb_per_unit - part.response
+        response.append(error[:, 0] / result.response_sem_lsb_per_unit)
     low, high = chi2.ppf((0.0005, 0.9995), 100)
     # sem is estimated from 16 batches per face: its scatter widens the ratios by about 1 + 1 / (6 * 15).
     for sums in ((np.array(bias) ** 2).sum(axis=0), (np.array(response) ** 2).sum(axis=0)):
@@ -187,10 +187,12 @@ def test_gyroscope_bias_uses_all_seven_readings(write_log: WriteLog) -> None:
     parts = [Part(gyroscope(f"G{i:03}"), np.zeros((3, 3)), np.array([40.0, -7.0, 0.3]), 20.0) for i in range(20)]
     with open_log(write_log.faces(parts, rows=160, seed=14)) as log:
         fitted = [fit_faces(log[part.header.name], named_faces(log))[0] for part in parts]
-    assert all(found.bias_sem_lsb is not None for found in fitted)
-    stated = np.sqrt(np.mean([np.square(found.bias_sem_lsb) for found in fitted if found.bias_sem_lsb is not None]))
+    assert all(result.bias_sem_lsb is not None for result in fitted)
+    stated = np.sqrt(np.mean([np.square(result.bias_sem_lsb) for result in fitted if result.bias_sem_lsb is not None]))
     assert stated == pytest.approx(20 / np.sqrt(7 * 160), rel=0.04)
-    assert np.mean([found.bias_lsb for found in fitted], axis=0) == pytest.approx([40.0, -7.0, 0.3], abs=5 * stated / 4)
+    assert np.mean([result.bias_lsb for result in fitted], axis=0) == pytest.approx(
+        [40.0, -7.0, 0.3], abs=5 * stated / 4
+    )
 
 
 def test_a_slow_drift_is_the_difference_of_two_readings_of_a_face(write_log: WriteLog) -> None:
@@ -331,8 +333,8 @@ def test_poses_that_disagree_give_a_warning(write_log: WriteLog) -> None:
     parts = [Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 3.0)]
     ups = np.array([up for _, _, up in FACES], float)[:6] + rng.normal(0, 0.05, (6, 3))
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
-    found = calibrate_tumble(open_log(write_log(parts, ups, names=[(label, up) for label, up, _ in FACES[:6]])))
-    assert any("bias known to +-" in warning and "mg only" in warning for warning in found.warnings)
+    result = calibrate_tumble(open_log(write_log(parts, ups, names=[(label, up) for label, up, _ in FACES[:6]])))
+    assert any("bias known to +-" in warning and "mg only" in warning for warning in result.warnings)
 
 
 def test_the_file_of_a_mislabelled_face_is_named(write_log: WriteLog) -> None:

@@ -46,8 +46,8 @@ def array(count: int, rng: np.random.Generator, sigma: float = SIGMA) -> list[Pa
 def fit(write_log: WriteLog, parts: list[Part], ups: Floats, seed: int = 1) -> tuple[list[SensorCalibration], Floats]:
     names = [(f"pose {index}", "") for index in range(len(ups))]
     with open_log(write_log(parts, ups, names=names, rows=ROWS, seed=seed)) as log:
-        found = fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases])
-        return list(found.calibrations), found.residual_g
+        result = fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases])
+        return list(result.calibrations), result.residual_g
 
 
 class Draws(NamedTuple):
@@ -61,16 +61,16 @@ class Draws(NamedTuple):
     def bias_ratios(self) -> Floats:
         """(sensors, 3) error of the bias over its standard error."""
         pairs = zip(self.fitted, self.parts, strict=True)
-        return np.array([(found.bias_lsb - part.bias) / sem(found.bias_sem_lsb) for found, part in pairs])
+        return np.array([(result.bias_lsb - part.bias) / sem(result.bias_sem_lsb) for result, part in pairs])
 
     def scale_ratios(self) -> Floats:
         """(sensors, 3) error of the scale factor over the stated standard error of the response."""
         pairs = zip(self.fitted, self.parts, strict=True)
         return np.array(
             [
-                (found.scale_lsb_per_unit - np.linalg.norm(part.response, axis=1))
-                / sem(found.response_sem_lsb_per_unit)
-                for found, part in pairs
+                (result.scale_lsb_per_unit - np.linalg.norm(part.response, axis=1))
+                / sem(result.response_sem_lsb_per_unit)
+                for result, part in pairs
             ]
         )
 
@@ -120,9 +120,9 @@ def test_response_is_within_the_bound_of_an_ellipsoid_fit() -> None:
     For directions spread evenly the mean of x^2 y^2 is 1/15, so an off-diagonal shape parameter has the variance 15
     sigma^2 / poses, the largest of all nine; the remainder is a rotation, which 36 poses determine better.
     """
-    found = draws(36)
+    result = draws(36)
     worst = 6 * np.sqrt(15 / 36) * SIGMA / np.sqrt(ROWS)
-    for fitted, part in zip(found.fitted, found.parts, strict=True):
+    for fitted, part in zip(result.fitted, result.parts, strict=True):
         assert np.abs(fitted.response_lsb_per_unit - part.response).max() < worst
 
 
@@ -132,9 +132,9 @@ def test_residuals_have_the_variance_of_the_noise() -> None:
     determine the vertical, and a straight line along it has four unknowns for 36 readings. Error rate 1e-3 over 100
     sensors.
     """
-    found = draws(36)
-    scale = np.array([np.linalg.norm(part.response, axis=1).mean() for part in found.parts])
-    total = np.sum(found.residuals**2 * 36 / (SIGMA / scale) ** 2 * ROWS)
+    result = draws(36)
+    scale = np.array([np.linalg.norm(part.response, axis=1).mean() for part in result.parts])
+    total = np.sum(result.residuals**2 * 36 / (SIGMA / scale) ** 2 * ROWS)
     low, high = chi2.ppf((0.0005, 0.9995), 32 * 100)
     # Rounding adds 1/12 to 1600 counts^2; scale factors differ by up to 2 %.
     assert 0.96 * low < total < 1.04 * high
@@ -251,11 +251,11 @@ def test_parameters_of_many_draws_are_within_their_covariance(
     each of two cases. Noise known from 15 degrees of freedom a pose makes it larger by 2 / (15 poses - 2).
     """
     rng = np.random.default_rng(31)
-    found = [fit_drawn(pair, rng, poses, drift=drift) for _ in range(count)]
-    drifting = [fitted.drift_terms > 0 for fitted, _ in found]
-    assert sum(bool(fitted.left_out) for fitted, _ in found) <= 2  # one in a thousand
+    result = [fit_drawn(pair, rng, poses, drift=drift) for _ in range(count)]
+    drifting = [fitted.drift_terms > 0 for fitted, _ in result]
+    assert sum(bool(fitted.left_out) for fitted, _ in result) <= 2  # one in a thousand
     assert np.mean(drifting) > 0.9 if drift else np.mean(drifting) < 0.02
-    total = np.mean([squared_errors(*each) for each in found])
+    total = np.mean([squared_errors(*each) for each in result])
     low, high = chi2.ppf((0.0005, 0.9995), 21 * count) / count
     assert low < total < high * (1 + 2 / (15 * poses - 2))
 
@@ -276,10 +276,10 @@ def test_scatter_of_biases_between_poses_widens_the_covariance(pair: tuple[Senso
     rng = np.random.default_rng(32)
     totals, reduced, wander = [], [], []
     for _ in range(30):
-        found, truth = fit_drawn(pair, rng, 24, wander=15.0)
-        totals.append(squared_errors(found, truth))
-        reduced += [fitted.reduced_chi_squared for fitted in found.fits]
-        wander += [fitted.repeatability_lsb for fitted in found.fits]
+        result, truth = fit_drawn(pair, rng, 24, wander=15.0)
+        totals.append(squared_errors(result, truth))
+        reduced += [fitted.reduced_chi_squared for fitted in result.fits]
+        wander += [fitted.repeatability_lsb for fitted in result.fits]
     assert np.mean(reduced) == pytest.approx(1 + 15**2 / 5**2, rel=0.1)
     assert np.sqrt(np.mean(np.square(wander))) == pytest.approx(15.0, rel=0.1)
     assert np.mean(totals) / 21 == pytest.approx(1.2, abs=3.3 * np.std(totals) / 21 / 30**0.5)
@@ -303,21 +303,21 @@ def test_only_the_wandering_axis_has_a_scatter_term(pair: tuple[SensorLog, ...])
 
 
 def test_a_drift_term_is_estimated_and_removed_from_the_residuals(pair: tuple[SensorLog, ...]) -> None:
-    found, _ = fit_drawn(pair, np.random.default_rng(33), 20, drift=80.0)
-    assert found.drift_terms == 1
+    result, _ = fit_drawn(pair, np.random.default_rng(33), 20, drift=80.0)
+    assert result.drift_terms == 1
     # First minus last; a slope over 20 poses is known to 5 sqrt(12 / 20) of a noise of 5 counts.
-    assert found.drift_lsb == pytest.approx(np.full((2, 3), -80.0), abs=6 * 5 * np.sqrt(12 / 20))
-    assert found.residual_g.max() < 4 * 5 / 2048
-    assert found.held_out_residual_g.max() < 8 * 5 / 2048
+    assert result.drift_lsb == pytest.approx(np.full((2, 3), -80.0), abs=6 * 5 * np.sqrt(12 / 20))
+    assert result.residual_g.max() < 4 * 5 / 2048
+    assert result.held_out_residual_g.max() < 8 * 5 / 2048
 
 
 def test_a_disturbed_pose_is_excluded_and_named(pair: tuple[SensorLog, ...]) -> None:
-    found, truth = fit_drawn(pair, np.random.default_rng(34), 20, strange=0.05)
-    assert [each.phase for each in found.left_out] == ["pose 20"]
-    assert float(found.left_out[0].reason.split()[0]) == pytest.approx(50.0, abs=20.0)  # mg
-    assert "not at rest" in found.left_out[0].reason
+    result, truth = fit_drawn(pair, np.random.default_rng(34), 20, strange=0.05)
+    assert [each.phase for each in result.left_out] == ["pose 20"]
+    assert float(result.left_out[0].reason.split()[0]) == pytest.approx(50.0, abs=20.0)  # mg
+    assert "not at rest" in result.left_out[0].reason
     low, high = chi2.ppf((0.0005, 0.9995), 21)
-    assert low < squared_errors(found, truth) < high
+    assert low < squared_errors(result, truth) < high
 
 
 def test_disturbed_poses_are_named_where_too_few_remain(pair: tuple[SensorLog, ...]) -> None:
@@ -333,9 +333,9 @@ def test_poses_of_a_separate_session_are_excluded(pair: tuple[SensorLog, ...]) -
     readings, _ = drawn(pair, np.random.default_rng(36), 12)
     late = [pose.phase._replace(start_ns=10**12, end_ns=10**12 + 10**10) for pose in readings.poses[-1:]]
     poses = (*readings.poses[:-1], *(Pose(phase, None) for phase in late))
-    found = fit_readings(replace(readings, poses=poses))
-    assert [each.phase for each in found.left_out] == ["pose 12"]
-    assert "11 poses that were recorded together" in found.left_out[0].reason
+    result = fit_readings(replace(readings, poses=poses))
+    assert [each.phase for each in result.left_out] == ["pose 12"]
+    assert "11 poses that were recorded together" in result.left_out[0].reason
 
 
 @pytest.mark.parametrize("count", [0, 1, 8])

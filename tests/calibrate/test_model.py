@@ -548,12 +548,12 @@ def test_azimuth_and_elevation_in_all_quadrants(
     direction: tuple[float, float, float], azimuth: float, elevation: float
 ) -> None:
     rows = np.array([direction, direction, direction], float) * 512
-    found = known(response_lsb_per_unit=rows).azimuth_elevation_deg()
-    assert found[0] == pytest.approx((azimuth, elevation))
+    result = known(response_lsb_per_unit=rows).azimuth_elevation_deg()
+    assert result[0] == pytest.approx((azimuth, elevation))
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ("bias_lsb = [1, 2]", ":8: sensor 1: bias_lsb must have 3 finite numbers"),
         ("bias_lsb = [1, 2, 3]\nbais_lsb = [1, 2, 3]", ":9: sensor 1: bais_lsb: unknown key; allowed are "),
@@ -563,7 +563,7 @@ def test_azimuth_and_elevation_in_all_quadrants(
         ),
     ],
 )
-def test_an_error_names_the_line_of_the_file(wrong: str, said: str, tmp_path: Path) -> None:
+def test_an_error_names_the_line_of_the_file(wrong: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     path.write_text(
         '[calibration]\nformat_version = 1\n[[sensor]]\nname = "A"\nquantity = "specific_force"\nunit = "g"\n'
@@ -572,4 +572,4 @@ def test_an_error_names_the_line_of_the_file(wrong: str, said: str, tmp_path: Pa
     )
     with pytest.raises(CalibrationError) as refused:
         load_calibration(path)
-    assert f"{path}{said}" in str(refused.value)
+    assert f"{path}{message}" in str(refused.value)

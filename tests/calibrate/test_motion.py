@@ -71,9 +71,9 @@ def record(
 def test_turn_on_of_moving_logs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [record(tmp_path / f"{seed}.h5", carried, seed) for seed in range(3)]
     assert main(["calibrate", "turn-on", *map(str, paths), "-o", str(tmp_path / "cal.toml")]) == 2
-    said = capsys.readouterr().err
-    assert "run 1" in said and "must be at rest, but moved" in said and "for 100 % of the time" in said
-    assert len(said.splitlines()) == 1
+    text = capsys.readouterr().err
+    assert "run 1" in text and "must be at rest, but moved" in text and "for 100 % of the time" in text
+    assert len(text.splitlines()) == 1
     assert not (tmp_path / "cal.toml").exists()
 
 

@@ -107,20 +107,20 @@ def test_a_log_without_rest_is_refused(tmp_path: Path) -> None:
 
 
 def test_progress_is_reported_for_each_sensor(tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
+    reports: list[tuple[str, int, int]] = []
     with open_log(write(tmp_path, white(2000), [STILL])) as log:
-        calibrate_noise(log, progress=lambda *told_now: told.append(told_now))
-    assert told == [("noise", 1, 1)]
+        calibrate_noise(log, progress=lambda *told_now: reports.append(told_now))
+    assert reports == [("noise", 1, 1)]
 
 
 @pytest.mark.parametrize(("technique", "expected"), [("planes", [("noise", 1, 1)]), ("mean", [])])
 def test_progress_is_reported_for_the_noise_that_a_technique_needs(
     tmp_path: Path, technique: str, expected: list[tuple[str, int, int]]
 ) -> None:
-    told: list[tuple[str, int, int]] = []
+    reports: list[tuple[str, int, int]] = []
     with open_log(write(tmp_path, white(2000), [STILL])) as log:
-        prepare_inputs(log, Calibration(), technique=technique, progress=lambda *now: told.append(now))
-    assert told == expected
+        prepare_inputs(log, Calibration(), technique=technique, progress=lambda *now: reports.append(now))
+    assert reports == expected
 
 
 def test_a_sensor_without_valid_readings_is_named(tmp_path: Path) -> None:
@@ -137,12 +137,12 @@ def calibrated(path: Path, name: str = "G") -> SensorCalibration:
 @pytest.mark.slow
 def test_standard_error_is_the_scatter_of_repetitions(tmp_path: Path) -> None:
     """Of 16 logs of 4096 white rows each, three axes: the standard deviation of 48 figures is known to 10 %."""
-    found = []
+    result = []
     for seed in range(16):
         known = calibrated(write(tmp_path / str(seed), white(4096, (20.0, 20.0, 20.0), seed), [STILL]))
         assert known.noise_sem_lsb is not None
-        found.append((known.noise_lsb, known.noise_sem_lsb))
-    noise, sem = np.array(found).transpose(1, 0, 2)
+        result.append((known.noise_lsb, known.noise_sem_lsb))
+    noise, sem = np.array(result).transpose(1, 0, 2)
     assert np.mean(sem) == pytest.approx(noise.std(ddof=1), rel=0.3)
     assert np.mean(sem) == pytest.approx(20 / np.sqrt(2 * 4096), rel=0.1)
 
@@ -188,8 +188,8 @@ def test_stale_rows_do_not_correlate_with_their_original(tmp_path: Path) -> None
     """Every row is repeated, the repetition flagged: the new rows do not correlate."""
     rows = np.repeat(np.rint(white(4000)), 2, axis=0)
     status = np.tile([0, 1], 4000).astype(np.uint16)
-    found = calibrated(write(tmp_path, rows, [STILL], status)).noise_correlation
-    assert found == pytest.approx([0.0] * 3, abs=4 / np.sqrt(4000))
+    result = calibrated(write(tmp_path, rows, [STILL], status)).noise_correlation
+    assert result == pytest.approx([0.0] * 3, abs=4 / np.sqrt(4000))
 
 
 def test_a_line_is_detected_with_its_share_of_the_variance(tmp_path: Path) -> None:
@@ -230,8 +230,8 @@ def test_a_short_line_is_not_a_line_of_varying_frequency(tmp_path: Path) -> None
 def test_noise_alone_shows_no_lines(tmp_path: Path) -> None:
     """One in a hundred logs of noise alone may show a line: none of 8 white logs, and none of 2 coloured logs."""
     logs = [white(4096, seed=seed) for seed in range(6)] + [filtered(4096, 0.5, seed) for seed in (1, 2)]
-    found = [calibrated(write(tmp_path / str(i), counts, [STILL])).noise_lines for i, counts in enumerate(logs)]
-    assert [lines for lines in found if lines] == []
+    result = [calibrated(write(tmp_path / str(i), counts, [STILL])).noise_lines for i, counts in enumerate(logs)]
+    assert [lines for lines in result if lines] == []
 
 
 def test_lines_are_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -239,8 +239,8 @@ def test_lines_are_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFixtu
     counts[:, 1] += 60 * np.sin(2 * np.pi * 23.4 * np.arange(12000) / 100)
     run = write(tmp_path, counts, [STILL])
     assert main(["calibrate", "noise", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
-    said = capsys.readouterr().out
-    assert "G y: a line at 23.40 Hz carries 67 % of the scatter" in said
+    text = capsys.readouterr().out
+    assert "G y: a line at 23.40 Hz carries 67 % of the scatter" in text
     saved = load_calibration(tmp_path / "cal.toml").sensors["G"]
     assert [line.axis for line in saved.noise_lines] == ["y"] and saved.drift is not None
 

@@ -28,8 +28,8 @@ def three(mounted: Sequence[str] = AXES) -> list[Part]:
     """Three accelerometers; where `mounted` differs from AXES the log does not know it."""
     rng = np.random.default_rng(3)
     return [
-        Part(accelerometer(f"A{i}", said), skewed(real, 2048, rng), rng.uniform(-99, 99, 3), SIGMA)
-        for i, (said, real) in enumerate(zip(AXES, mounted, strict=True))
+        Part(accelerometer(f"A{i}", text), skewed(real, 2048, rng), rng.uniform(-99, 99, 3), SIGMA)
+        for i, (text, real) in enumerate(zip(AXES, mounted, strict=True))
     ]
 
 
@@ -118,8 +118,8 @@ def test_a_face_that_leaned_is_excluded_and_named(tmp_path: Path) -> None:
 def check_bias(result: TumbleResult) -> None:
     """Of at least five faces, six standard errors of the worse half difference of two."""
     for part in three():
-        found = result.calibration.sensors[part.header.name]
-        assert found.bias_lsb == pytest.approx(part.bias, abs=6 * SIGMA / np.sqrt(2 * ROWS))
+        outcome = result.calibration.sensors[part.header.name]
+        assert outcome.bias_lsb == pytest.approx(part.bias, abs=6 * SIGMA / np.sqrt(2 * ROWS))
 
 
 def test_an_ambiguous_leaning_face_is_refused(tmp_path: Path) -> None:

@@ -91,8 +91,8 @@ AXES = {"a1": "-Y+X+Z", "a2": "+Y+X-Z", "a3": "+Z+X+Y", "g1": "+X-Y-Z", "g2": "-
 @pytest.mark.parametrize("named", [True, False])
 def test_three_poses_determine_every_axis(written: Written, named: bool) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"), named=named)) as log:
-        found = find_pointing(log, upright_poses(log))
-    assert {each.sensor: each.axes for each in found} == AXES
+        result = find_pointing(log, upright_poses(log))
+    assert {each.sensor: each.axes for each in result} == AXES
 
 
 @pytest.mark.slow
@@ -104,8 +104,8 @@ def test_every_mounting_orientation_is_determined(written: Written) -> None:
     assert len(set(signs)) == 24
     ups = ("-Z", "+Y", "-X", "+X")
     with open_log(written(axes, ups, bias=0.2)) as log:
-        found = find_pointing(log, upright_poses(log, ups))
-    assert {each.sensor: each.axes for each in found} == axes
+        result = find_pointing(log, upright_poses(log, ups))
+    assert {each.sensor: each.axes for each in result} == axes
 
 
 def test_poses_in_another_order_are_refused(written: Written) -> None:
@@ -141,18 +141,18 @@ def test_poses_about_a_single_vertical_axis_are_refused(written: Written) -> Non
 def test_a_magnetometer_without_a_gyroscope_is_not_determined(written: Written) -> None:
     axes = {name: text for name, text in AXES.items() if name[0] != "g"}
     with open_log(written(axes, ("+Z", "+X", "+Y"))) as log:
-        found = {each.sensor: each for each in find_pointing(log, upright_poses(log))}
-    assert found["m1"].axes == "" and "gyroscope" in found["m1"].reason
-    assert found["a3"].axes == AXES["a3"]
+        result = {each.sensor: each for each in find_pointing(log, upright_poses(log))}
+    assert result["m1"].axes == "" and "gyroscope" in result["m1"].reason
+    assert result["a3"].axes == AXES["a3"]
 
 
 def test_two_poses_do_not_determine_a_gyroscope(written: Written) -> None:
     """One turn: every rotation about its axis gives the same readings."""
     ups = ("+Z", "+X")
     with open_log(written(AXES, ups)) as log:
-        found = {each.sensor: each for each in find_pointing(log, upright_poses(log, ups))}
-    assert found["a1"].axes == AXES["a1"]
-    assert found["g1"].axes == "" and "as good as" in found["g1"].reason
+        result = {each.sensor: each for each in find_pointing(log, upright_poses(log, ups))}
+    assert result["a1"].axes == AXES["a1"]
+    assert result["g1"].axes == "" and "as good as" in result["g1"].reason
 
 
 def test_an_unknown_pose_is_refused(written: Written) -> None:
@@ -169,7 +169,7 @@ def test_axes_are_written_into_an_otherwise_unchanged_configuration() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("no toml [", "not TOML: Invalid key"),
         ("\0\x1b[31m", "not TOML"),
@@ -184,8 +184,8 @@ def test_axes_are_written_into_an_otherwise_unchanged_configuration() -> None:
     ],
     ids=range(10),
 )
-def test_an_invalid_configuration_is_refused_in_one_line(text: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=rf"^run\.h5: its configuration .*{said}") as caught:
+def test_an_invalid_configuration_is_refused_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^run\.h5: its configuration .*{message}") as caught:
         with_axes(text, FOUND, "run.h5")
     assert str(caught.value).isprintable()
 

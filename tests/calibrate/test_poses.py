@@ -121,9 +121,9 @@ def test_a_turn_about_the_vertical_is_not_rest(tmp_path: Path) -> None:
         writer.append(part.header.name, Block(time, part.read(up, np.random.default_rng(1)), still))
         writer.append("G", Block(time, np.rint(counts).astype(np.int16), still))
     with open_log(path) as log:
-        found = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_poses(log)]
+        result = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_poses(log)]
     # Windows of half a second, and another window cut off at each end.
-    assert found == [pytest.approx((0.5, 7.5)), pytest.approx((12.5, 19.0))]
+    assert result == [pytest.approx((0.5, 7.5)), pytest.approx((12.5, 19.0))]
 
 
 def test_a_log_too_short_for_poses_is_refused(tmp_path: Path) -> None:
@@ -187,10 +187,10 @@ def test_gyroscopes_or_magnetometers_alone_detect_rests(tmp_path: Path, unit: st
     with LogWriter(path, [header], source="imported", epoch=EPOCH) as writer:
         writer.append("S", Block(np.rint(seconds * 1e9).astype(np.int64), counts, np.zeros(len(seconds), np.uint16)))
     with open_log(path) as log:
-        found = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_rests(log)]
+        result = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_rests(log)]
         with pytest.raises(CalibrationError, match="no accelerometer"):
             find_poses(log)
-    assert found == [pytest.approx((0, 20), abs=2.6), pytest.approx((24, 44), abs=2.6)]
+    assert result == [pytest.approx((0, 20), abs=2.6), pytest.approx((24, 44), abs=2.6)]
 
 
 def test_named_faces_have_an_up_axis_and_the_name_of_a_face(write_log: WriteLog) -> None:

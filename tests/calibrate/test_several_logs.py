@@ -45,11 +45,11 @@ def test_one_log_per_face_calibrates_like_one_log(tmp_path: Path) -> None:
     paths = [write(tmp_path / f"{face}.h5", [face]) for face in FACES]
     calibration = tmp_path / "cal.toml"
     assert main(["calibrate", "tumble", *map(str, paths), "-o", str(calibration)]) == 0
-    found = load_calibration(calibration)
-    assert found.sources == tuple(map(str, paths))
+    result = load_calibration(calibration)
+    assert result.sources == tuple(map(str, paths))
     # Standard error of a face's mean: 10 / sqrt(400) = 0.5 counts; five of the errors of mean and half difference.
-    assert found.sensors["A"].bias_lsb == pytest.approx(BIAS, abs=5 * 0.5 / np.sqrt(6))
-    assert found.sensors["A"].scale_lsb_per_unit == pytest.approx(SCALE, abs=5 * 0.5 / np.sqrt(2))
+    assert result.sensors["A"].bias_lsb == pytest.approx(BIAS, abs=5 * 0.5 / np.sqrt(6))
+    assert result.sensors["A"].scale_lsb_per_unit == pytest.approx(SCALE, abs=5 * 0.5 / np.sqrt(2))
 
 
 def test_noise_is_pooled_over_logs(tmp_path: Path) -> None:

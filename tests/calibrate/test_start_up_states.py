@@ -119,8 +119,8 @@ def test_a_sensor_in_the_wrong_range_is_named_and_excluded(
     arguments = ["fuse", str(run), "--calibration", str(calibration_file), "-o", str(tmp_path / "f.h5"), "--json"]
     assert main(arguments) == 0
     report = json.loads(capsys.readouterr().out)
-    (said,) = [text for text in report["start_up"] if text.startswith("B ")]
-    assert "started at 2 g" in said
+    (message,) = [text for text in report["start_up"] if text.startswith("B ")]
+    assert "started at 2 g" in message
     # B alone would pull the mean of two by half its 0.2 g
     assert abs(report["results"]["mean"]["specific_force"]["mean"][0]) < 0.02 * 9.80665
 

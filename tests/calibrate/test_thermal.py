@@ -34,12 +34,12 @@ def first_order_lag(degc: Floats, step_s: float, lag_s: float) -> Floats:
     """A temperature after a first-order lag, by small Euler steps: independent of the closed form under test."""
     fine = 200
     inside = np.interp(np.arange(len(degc) * fine) / fine, np.arange(len(degc)), degc)
-    behind = np.empty(len(inside))
+    lagged = np.empty(len(inside))
     state = inside[0]
     for i, value in enumerate(inside.tolist()):
-        behind[i] = state
+        lagged[i] = state
         state += (value - state) * step_s / fine / lag_s
-    return behind[::fine]
+    return lagged[::fine]
 
 
 LAGGED = first_order_lag(ROOM_HEAT_COOL, STEP_S, 60.0)
@@ -100,8 +100,8 @@ def test_intervals_on_a_curved_ramp_cover_the_slope_in_its_middle() -> None:
         held.append(np.abs(fit.slope_lsb_per_degc - slopes) < 1.96 * fit.slope_sem_lsb_per_degc)
         curves.append(fit.quadratic_lsb_per_degc2)
     assert 0.89 <= np.mean(held) <= 0.985
-    told = np.mean(np.array(curves) != 0, axis=0)
-    assert told[0] == 1 and 0 < told[1] < 1 and told[2] < 0.05
+    detected = np.mean(np.array(curves) != 0, axis=0)
+    assert detected[0] == 1 and 0 < detected[1] < 1 and detected[2] < 0.05
     assert np.array(curves)[:, 0] == pytest.approx(np.full(70, 1.5), abs=0.3)
 
 
@@ -141,13 +141,13 @@ def test_the_slope_is_that_of_the_chord(write: Write) -> None:
     """
     warm = 48.0 - 24.0 * np.exp(-NS * 1e-9 / 200.0)
     path = write([(gyroscope("G"), (0.25, 0.25, 0.25))], warm=warm, curvature=0.05)
-    found = run(path).calibration.sensors["G"].thermal
-    assert found is not None
+    result = run(path).calibration.sensors["G"].thermal
+    assert result is not None
     chord = 0.25 + 0.05 * ((48.0 - 25.0) + (24.0 - 25.0))
-    assert found.reference_degc == pytest.approx(36.0, abs=0.2)
-    assert np.abs(found.slope_lsb_per_degc - chord).max() < 4 * found.slope_sem_lsb_per_degc.max() < 0.2
-    assert found.quadratic_sem_lsb_per_degc2 is not None
-    assert found.quadratic_lsb_per_degc2 == pytest.approx([0.05] * 3, abs=4 * found.quadratic_sem_lsb_per_degc2.max())
+    assert result.reference_degc == pytest.approx(36.0, abs=0.2)
+    assert np.abs(result.slope_lsb_per_degc - chord).max() < 4 * result.slope_sem_lsb_per_degc.max() < 0.2
+    assert result.quadratic_sem_lsb_per_degc2 is not None
+    assert result.quadratic_lsb_per_degc2 == pytest.approx([0.05] * 3, abs=4 * result.quadratic_sem_lsb_per_degc2.max())
 
 
 def test_errors_in_a_wander_exceed_those_in_white_noise() -> None:
@@ -190,8 +190,8 @@ def test_products_equal_those_of_the_full_covariance() -> None:
         whole = (1 - noise.white) * np.exp(-np.abs(time[:, None] - time) / noise.correlation_s) + noise.white * np.eye(
             30
         )
-        found, determinant = products(columns, np.diff(time), noise)
-        assert found == pytest.approx(columns.T @ np.linalg.solve(whole, columns))
+        result, determinant = products(columns, np.diff(time), noise)
+        assert result == pytest.approx(columns.T @ np.linalg.solve(whole, columns))
         assert determinant == pytest.approx(np.linalg.slogdet(whole)[1])
 
 
@@ -292,11 +292,11 @@ def test_one_orientation_cannot_separate_bias_from_scale(write: Write) -> None:
     assert box.meaning == ("bias", "bias", "bias or scale")
     assert spun.meaning == ("bias", "bias", "bias")
     assert box.scale_slope_per_degc is None
-    for found, truth in ((box, accelerometer_slopes), (spun, gyroscope_slopes)):
-        error = np.abs(found.slope_lsb_per_degc - truth) / found.slope_sem_lsb_per_degc
+    for outcome, truth in ((box, accelerometer_slopes), (spun, gyroscope_slopes)):
+        error = np.abs(outcome.slope_lsb_per_degc - truth) / outcome.slope_sem_lsb_per_degc
         assert (error < 4).all()  # four standard errors of six slopes: 4e-4
-        assert (found.slope_sem_lsb_per_degc < 0.02).all()
-        assert found.thermometer == "barometer"
+        assert (outcome.slope_sem_lsb_per_degc < 0.02).all()
+        assert outcome.thermometer == "barometer"
     assert [(np.abs(heating.gravity_g) > 0.5).tolist() for heating in result.heatings] == [[False, False, True]] * 2
     origin = result.calibration.sensors["A"].provenance["thermal"]
     assert origin.logs == (str(path),) and origin.epoch == EPOCH
@@ -310,15 +310,17 @@ def test_opposite_faces_separate_bias_from_scale(write: Write, tmp_path: Path) -
     assert alone is not None
     assert alone.slope_lsb_per_degc[2] == pytest.approx(0.5 - 0.2048, abs=0.03)
     both = run(*paths)
-    found = both.calibration.sensors["A"].thermal
-    assert found is not None and found.scale_slope_per_degc is not None and found.scale_slope_sem_per_degc is not None
-    assert found.meaning == ("bias", "bias", "bias")
-    assert np.abs(found.slope_lsb_per_degc - [0.2, -0.3, 0.5]).max() < 4 * found.slope_sem_lsb_per_degc.max()
-    assert np.isnan(found.scale_slope_per_degc[:2]).all()
-    assert abs(found.scale_slope_per_degc[2] - 1e-4) < 4 * found.scale_slope_sem_per_degc[2] < 2e-5
+    result = both.calibration.sensors["A"].thermal
+    assert (
+        result is not None and result.scale_slope_per_degc is not None and result.scale_slope_sem_per_degc is not None
+    )
+    assert result.meaning == ("bias", "bias", "bias")
+    assert np.abs(result.slope_lsb_per_degc - [0.2, -0.3, 0.5]).max() < 4 * result.slope_sem_lsb_per_degc.max()
+    assert np.isnan(result.scale_slope_per_degc[:2]).all()
+    assert abs(result.scale_slope_per_degc[2] - 1e-4) < 4 * result.scale_slope_sem_per_degc[2] < 2e-5
     both.calibration.save(tmp_path / "cal.toml")
     again = load_calibration(tmp_path / "cal.toml").sensors["A"].thermal
-    assert again is not None and again.scale_slope_per_degc == pytest.approx(found.scale_slope_per_degc, nan_ok=True)
+    assert again is not None and again.scale_slope_per_degc == pytest.approx(result.scale_slope_per_degc, nan_ok=True)
 
 
 def test_the_accelerometers_determine_up_where_phases_are_missing(write: Write) -> None:
@@ -335,9 +337,9 @@ def test_chip_temperatures_replace_a_missing_thermometer(write: Write, chip: str
     own = SensorHeader("S", chip, "specific_force", "g", 16.0, 512.0, has_temperature=chip != "adxl345")
     neighbour = with_thermometer(accelerometer("N"))
     result = run(write([(own, (0.5, 0.3, 0.1)), (neighbour, (0.1, 0.1, 0.1))], thermometer="none"))
-    found = result.calibration.sensors["S"].thermal
-    assert found is not None and found.thermometer == kind
-    assert found.slope_lsb_per_degc[:2] == pytest.approx([0.5, 0.3], abs=0.02)
+    outcome = result.calibration.sensors["S"].thermal
+    assert outcome is not None and outcome.thermometer == kind
+    assert outcome.slope_lsb_per_degc[:2] == pytest.approx([0.5, 0.3], abs=0.02)
     coldest, warmest = result.heatings[0].span_degc
     assert warmest - coldest == pytest.approx(26, abs=1)
     if kind == "chip":
@@ -345,9 +347,9 @@ def test_chip_temperatures_replace_a_missing_thermometer(write: Write, chip: str
 
 
 def test_a_reference_thermometer_is_used(write: Write) -> None:
-    found = run(write([(gyroscope("G"), (0.5, 0.3, 0.1))], thermometer="reference")).calibration.sensors["G"].thermal
-    assert found is not None and found.thermometer == "reference"
-    assert found.slope_lsb_per_degc == pytest.approx([0.5, 0.3, 0.1], abs=0.02)
+    result = run(write([(gyroscope("G"), (0.5, 0.3, 0.1))], thermometer="reference")).calibration.sensors["G"].thermal
+    assert result is not None and result.thermometer == "reference"
+    assert result.slope_lsb_per_degc == pytest.approx([0.5, 0.3, 0.1], abs=0.02)
 
 
 def test_opposing_gyroscopes_of_table_8_cancel_their_slopes(write: Write) -> None:
@@ -394,8 +396,8 @@ def test_cancellation_of_a_pair_by_hand(
     cancels: float,
     nothing_left: float,
 ) -> None:
-    found = cancelled(*slopes, *sems)
-    assert found == pytest.approx((half, sem, reduction, cancels, nothing_left), abs=1e-5)
+    result = cancelled(*slopes, *sems)
+    assert result == pytest.approx((half, sem, reduction, cancels, nothing_left), abs=1e-5)
 
 
 def test_false_alarms_of_cancellation_are_rare() -> None:

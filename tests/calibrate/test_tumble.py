@@ -109,19 +109,19 @@ def test_the_box_frame_is_the_mean_of_the_configured_axes() -> None:
     up = directions(20, rng)
     readings = rows @ up.T + 0.1 + rng.normal(0, 1e-3, (6, 20))
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    found = [
+    result = [
         turn_into_box_frame(solve(readings, np.full((6, 20), 1e6), np.ones((20, 1)), start), orientations)
         for start in (up, up @ turn)
     ]
-    for each in found:
+    for each in result:
         mean = np.mean(orientations @ each.coefficients[:, :3].reshape(2, 3, 3), axis=0)
         assert mean == pytest.approx(mean.T, abs=1e-12)
         values = np.linalg.eigvalsh(each.covariance)
         assert np.count_nonzero(values < 1e-9 * values.max()) == 3
         assert np.linalg.norm(each.up_box, axis=1) == pytest.approx(1.0)
-    assert found[0].coefficients == pytest.approx(found[1].coefficients, abs=1e-8)
-    assert found[0].covariance == pytest.approx(found[1].covariance, rel=1e-4, abs=1e-12)
-    assert found[0].up_covariance == pytest.approx(found[1].up_covariance, rel=1e-4, abs=1e-12)
+    assert result[0].coefficients == pytest.approx(result[1].coefficients, abs=1e-8)
+    assert result[0].covariance == pytest.approx(result[1].covariance, rel=1e-4, abs=1e-12)
+    assert result[0].up_covariance == pytest.approx(result[1].up_covariance, rel=1e-4, abs=1e-12)
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_directions_are_within_their_covariance() -> None:
     for _ in range(200):
         up: Floats = directions(12, rng)
         readings = rows @ up.T + rng.normal(0, 1e-4, (6, 12))
-        found = turn_into_box_frame(solve(readings, np.full((6, 12), 1e8), np.ones((12, 1)), up), orientations)
-        error = (found.up_box - up).ravel()
-        squares.append(error @ np.linalg.pinv(found.up_covariance, rcond=1e-7, hermitian=True) @ error)
+        result = turn_into_box_frame(solve(readings, np.full((6, 12), 1e8), np.ones((12, 1)), up), orientations)
+        error = (result.up_box - up).ravel()
+        squares.append(error @ np.linalg.pinv(result.up_covariance, rcond=1e-7, hermitian=True) @ error)
     assert np.mean(squares) == pytest.approx(24, abs=3.3 * np.sqrt(2 * 24 / 200))

@@ -121,13 +121,13 @@ def test_states_ten_spreads_apart_are_detected() -> None:
     detected.
     """
     rng = np.random.default_rng(14)
-    found = 0
+    result = 0
     for _ in range(50):
         second = rng.permutation(15) < 6
         means = rng.normal(size=(15, 3)) + np.where(second, 10.0, 0.0)[:, None] * np.array([0.6, 0.0, -0.8])
         split, p = two_states(means, None, 1)
-        found += bool(p < 0.01 and (split == (second ^ second[0])).all())
-    assert found >= 45
+        result += bool(p < 0.01 and (split == (second ^ second[0])).all())
+    assert result >= 45
 
 
 @pytest.mark.slow
@@ -153,14 +153,14 @@ def test_the_best_split_equals_exhaustive_search() -> None:
     ("z", "range_g"), [(4308.7, 2.0), (1073.0, 8.0), (536.0, None), (700.0, None), (-4308.7, None), (8586.0, 1.0)]
 )
 def test_the_range_that_explains_a_reading(z: float, range_g: float | None) -> None:
-    ratio, found = explained_range(np.array([0.0, 0, z]), np.array([-100.0, -134, 536.5]), 512.0, BMA180)
-    assert found == range_g
+    ratio, result = explained_range(np.array([0.0, 0, z]), np.array([-100.0, -134, 536.5]), 512.0, BMA180)
+    assert result == range_g
     assert ratio == pytest.approx(z / 536.5)
 
 
 def test_no_range_is_explained_without_gravity_on_an_axis() -> None:
-    ratio, found = explained_range(np.array([100.0, 160, 0]), np.array([12.0, 20, 0]), 512.0, BMA180)
-    assert np.isnan(ratio) and found is None
+    ratio, result = explained_range(np.array([100.0, 160, 0]), np.array([12.0, 20, 0]), 512.0, BMA180)
+    assert np.isnan(ratio) and result is None
 
 
 def test_a_gyroscope_is_not_explained_by_another_range() -> None:
@@ -213,10 +213,10 @@ def test_the_scatter_within_runs_is_subtracted() -> None:
     flat = (BiasState(np.zeros(3), 1.0, runs.numbers),)
     five, three = np.full(3, 5.0), np.full(3, 3.0)
     result = TurnOnResult(runs, (), flat, 1.0, None, five, 14, three, np.full(3, 50.0), np.zeros(3))
-    found = result.turn_on()
-    assert found.rms_lsb == pytest.approx([4.0] * 3)
-    assert found.rms_sem_lsb == pytest.approx([np.sqrt(2 * 625 / 14 + 2 * 81 / 50) / 8] * 3)
-    assert found.spread_lsb.tolist() == [5.0] * 3
+    outcome = result.turn_on()
+    assert outcome.rms_lsb == pytest.approx([4.0] * 3)
+    assert outcome.rms_sem_lsb == pytest.approx([np.sqrt(2 * 625 / 14 + 2 * 81 / 50) / 8] * 3)
+    assert outcome.spread_lsb.tolist() == [5.0] * 3
 
 
 # Whole logs: a run of 60 s at 20 Hz.
@@ -286,10 +286,10 @@ def test_a_turn_on_bias_is_estimated_and_a_steady_bias_is_not_reported(write: Wr
     assert (results["A"].p_value < 1e-4).all()
     assert (holm(results["S"].p_value) > 0.05).all()
     assert results["S"].in_run_sd_lsb == pytest.approx([3 / np.sqrt(1200)] * 3, rel=0.5)
-    found = calibration.sensors["A"].turn_on
-    assert found is not None and found.gravity_lsb is None
-    assert np.abs(found.rms_lsb - changing.std(axis=0, ddof=1)).max() < 0.3
-    assert (np.abs(found.rms_lsb - 2.0) < 4 * found.rms_sem_lsb).all()
+    result = calibration.sensors["A"].turn_on
+    assert result is not None and result.gravity_lsb is None
+    assert np.abs(result.rms_lsb - changing.std(axis=0, ddof=1)).max() < 0.3
+    assert (np.abs(result.rms_lsb - 2.0) < 4 * result.rms_sem_lsb).all()
     assert len(calibration.sensors["A"].provenance["turn_on"].logs) == (1 if together else 12)
 
 
@@ -298,9 +298,9 @@ def test_a_warm_up_is_not_a_turn_on_bias(write: Write) -> None:
     """Three counts per degree and nothing else: with the barometer a slope, without it a turn-on bias."""
     warm = (30 - 6 * np.exp(-np.arange(10) / 4)).round(2)
     sensors = [(gyroscope("G"), 3.0 * (warm - 25)[:, None] * np.ones(3))]
-    _, told = run(write(sensors, warm=warm.tolist()))
-    assert told["G"].slope_lsb_per_degc == pytest.approx([3.0] * 3, abs=0.2)
-    assert (holm(told["G"].p_value) > 0.05).all()
+    _, results = run(write(sensors, warm=warm.tolist()))
+    assert results["G"].slope_lsb_per_degc == pytest.approx([3.0] * 3, abs=0.2)
+    assert (holm(results["G"].p_value) > 0.05).all()
     _, untold = run(write(sensors, seed=2)[:10])
     assert untold["G"].slope_lsb_per_degc is None
     assert (untold["G"].p_value < 1e-4).all()
@@ -327,9 +327,9 @@ def test_faults_and_states_are_saved_and_recognised_in_the_next_run(write: Write
     assert box.apart == (7,) and box.runs == 11
     assert box.gravity_lsb is not None and np.linalg.norm(box.gravity_lsb) == pytest.approx(512.0)
     today = {"Gyro3": states[1] + 0.4, "BMA1": np.array([-100.0, -134.0, 25.0 + 4096.0])}
-    found = state_of(today, known, ranges={"BMA1": BMA180})
-    assert (found["Gyro3"].state, found["Gyro3"].fault) == (1, False)
-    assert found["BMA1"].fault and "started at 2 g" in found["BMA1"].explanation
+    result = state_of(today, known, ranges={"BMA1": BMA180})
+    assert (result["Gyro3"].state, result["Gyro3"].fault) == (1, False)
+    assert result["BMA1"].fault and "started at 2 g" in result["BMA1"].explanation
 
 
 def started(**values: object) -> Calibration:
@@ -352,11 +352,11 @@ def started(**values: object) -> Calibration:
 def test_the_distance_of_a_start_from_the_states_by_hand(
     means: tuple[float, float, float], state: int, distance: float, fault: bool
 ) -> None:
-    found = state_of({"G": means, "other": (0, 0, 0)}, started())
-    assert list(found) == ["G"]
-    assert (found["G"].state, found["G"].fault) == (state, fault)
-    assert found["G"].distance == pytest.approx(distance, nan_ok=True)
-    assert bool(found["G"].explanation) is fault
+    result = state_of({"G": means, "other": (0, 0, 0)}, started())
+    assert list(result) == ["G"]
+    assert (result["G"].state, result["G"].fault) == (state, fault)
+    assert result["G"].distance == pytest.approx(distance, nan_ok=True)
+    assert bool(result["G"].explanation) is fault
 
 
 def test_a_slight_tilt_is_not_a_fault() -> None:

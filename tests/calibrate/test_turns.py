@@ -107,9 +107,9 @@ def test_the_columns_of_two_turned_axes_are_determined(tmp_path: Path) -> None:
             rows /= np.linalg.norm(rows, axis=1, keepdims=True)
             true = sensitivity * np.diag(1 + np.diag(off)) @ rows @ log["Gyro3"].orientation.T
         assert fit.uncertain_axes == "Y"
-        told, untold = np.abs(fit.response - true)[:, [0, 2]], fit.sem[:, 1]
-        assert told.max() < 0.002 * sensitivity
-        assert untold == pytest.approx(TOLERANCE * sensitivity, rel=0.1)
+        errors, unknown_sem = np.abs(fit.response - true)[:, [0, 2]], fit.sem[:, 1]
+        assert errors.max() < 0.002 * sensitivity
+        assert unknown_sem == pytest.approx(TOLERANCE * sensitivity, rel=0.1)
         error = (fit.response - true).ravel()
         squares.append(error @ np.linalg.solve(fit.covariance, error))
     low, high = chi2.ppf((0.0005, 0.9995), 9 * len(squares))

@@ -56,23 +56,23 @@ def aligned(path: Path, others: dict[str, tuple[np.ndarray, np.ndarray]], delay_
 
 def of(path: Path) -> tuple[Alignment, dict[str, SensorAlignment]]:
     with open_log(path) as log:
-        found = find_alignment(log)
-    assert found is not None
-    return found, {sensor.name: sensor for sensor in found.sensors}
+        result = find_alignment(log)
+    assert result is not None
+    return result, {sensor.name: sensor for sensor in result.sensors}
 
 
 @pytest.mark.parametrize("delay_s", some([0.0, 2.7e-3, -4e-4, 1.5e-2], 2))
 def test_a_delay_is_estimated_within_its_error(tmp_path: Path, delay_s: float) -> None:
     """A gain error of -3 % and an axis that is misaligned by a degree do not bias the delay."""
-    found, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 200.0, 0.0, delay_s, gain=0.97)}))
-    assert (found.delays_from, sensors["A"].delay_s) == ("A", 0.0)
-    told, error = sensors["B"].delay_s, sensors["B"].delay_error_s
-    assert told is not None
+    result, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 200.0, 0.0, delay_s, gain=0.97)}))
+    assert (result.delays_from, sensors["A"].delay_s) == ("A", 0.0)
+    estimate, error = sensors["B"].delay_s, sensors["B"].delay_error_s
+    assert estimate is not None
     assert error is not None
     assert 1e-7 < error < 2e-5
-    assert told == pytest.approx(delay_s, abs=4 * error + 2e-3 * abs(delay_s))
-    assert found.motion_from_s is not None
-    assert found.motion_from_s <= 10.0
+    assert estimate == pytest.approx(delay_s, abs=4 * error + 2e-3 * abs(delay_s))
+    assert result.motion_from_s is not None
+    assert result.motion_from_s <= 10.0
 
 
 def test_a_filter_delay_in_the_header_is_subtracted(tmp_path: Path) -> None:
@@ -112,8 +112,8 @@ def test_a_log_at_rest_gives_no_delay(tmp_path: Path) -> None:
     with LogWriter(path, headers, source="simulated", epoch="2024-01-01T00:00:00Z") as writer:
         for name in "AB":
             writer.append(name, Block(time_ns, np.roll(quiet, ord(name), axis=0), np.zeros(len(quiet), np.uint16)))
-    found, sensors = of(path)
-    assert found.is_simultaneous
+    outcome, sensors = of(path)
+    assert outcome.is_simultaneous
     assert sensors["B"].delay_s is None
     with open_log(path) as log:
         result = characterise_log(log)

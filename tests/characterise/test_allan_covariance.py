@@ -43,19 +43,19 @@ def test_covariances_equal_sums_over_all_pairs(term: Term, ramp: float, pair: tu
         r, means = cross(points[a], points[b]), ramp**2 * pair[a] ** 2 * pair[b] ** 2
         return float((2 * r**2 + 4 * means * r).mean()) / (4.0 * pair[a] ** 2 * pair[b] ** 2)
 
-    found = covariance(pair, rows, theta(**{term.replace(" ", "_"): 1.0, "ramp": ramp**2}))
+    result = covariance(pair, rows, theta(**{term.replace(" ", "_"): 1.0, "ramp": ramp**2}))
     scale = (by_pairs(0, 0) * by_pairs(1, 1)) ** 0.5
-    assert found[0, 1] == pytest.approx(by_pairs(0, 1), abs=0.01 * scale)
-    assert np.diag(found) == pytest.approx([by_pairs(0, 0), by_pairs(1, 1)], rel=0.02)
+    assert result[0, 1] == pytest.approx(by_pairs(0, 1), abs=0.01 * scale)
+    assert np.diag(result) == pytest.approx([by_pairs(0, 0), by_pairs(1, 1)], rel=0.02)
 
 
 @pytest.mark.parametrize(("noise", "rows"), [("white", 10**7), ("flicker", 10**7), ("random walk", 10**7)])
 def test_variances_of_long_series_agree_with_degrees_of_freedom(noise: Noise, rows: int) -> None:
     """2 avar^2 / variance at octaves of 1e7 rows; grouped lags change it by up to 1 %."""
     factors = tuple(1 << power for power in range(22))
-    found = 2 * variances(noise, np.array(factors)) ** 2 / np.diag(covariance(factors, rows, theta_of(noise)))
+    result = 2 * variances(noise, np.array(factors)) ** 2 / np.diag(covariance(factors, rows, theta_of(noise)))
     expected = [degrees_of_freedom(noise, m, rows + 1 - 2 * m) for m in factors]
-    np.testing.assert_allclose(found, expected, rtol=0.012)
+    np.testing.assert_allclose(result, expected, rtol=0.012)
 
 
 def theta_of(noise: Noise) -> np.ndarray:
@@ -79,5 +79,5 @@ def test_variances_of_a_ramp_and_differenced_noise() -> None:
     ramp = allan_deviation(np.arange(1000), 1.0, [1, 7, 100]).deviation
     np.testing.assert_allclose(np.sqrt(variances("ramp", m)), ramp, rtol=1e-14)
     rounding = np.diff(np.random.default_rng(2).normal(size=400_001))
-    found = allan_deviation(rounding, 1.0, [1, 7, 100]).deviation ** 2
-    np.testing.assert_allclose(found, variances("quantisation", m), rtol=0.05)
+    result = allan_deviation(rounding, 1.0, [1, 7, 100]).deviation ** 2
+    np.testing.assert_allclose(result, variances("quantisation", m), rtol=0.05)

@@ -38,18 +38,18 @@ def flicker(seed: int) -> np.ndarray:
 
 
 def fitted(series: np.ndarray, **options: Any) -> NoiseFit:
-    found = fit_noise(allan_deviation(series, INTERVAL_S), **options)
-    assert found is not None
-    return found
+    result = fit_noise(allan_deviation(series, INTERVAL_S), **options)
+    assert result is not None
+    return result
 
 
 def all_fitted(series: np.ndarray) -> list[NoiseFit]:
     curve = allan_deviation(series, INTERVAL_S)
-    return [found for column in range(series.shape[1]) if (found := fit_noise(curve, column))]
+    return [result for column in range(series.shape[1]) if (result := fit_noise(curve, column))]
 
 
 def covered(fits: list[NoiseFit], term: Term, truth: float) -> int:
-    return sum(found[term].low <= truth <= found[term].high for found in fits)
+    return sum(result[term].low <= truth <= result[term].high for result in fits)
 
 
 @pytest.mark.slow
@@ -64,9 +64,9 @@ def test_intervals_cover_and_p_values_are_uniform() -> None:
     assert len(fits) == REPEATS
     for term, truth in (("white", INTERVAL_S**0.5), ("flicker", 0.2), ("random walk", 0.02 / INTERVAL_S**0.5)):
         assert covered(fits, term, truth) >= binom.ppf(1e-4, REPEATS, 0.93)
-    assert sum(found["random walk"].significant for found in fits) > 0.9 * REPEATS
-    assert kstest([found.p_value for found in fits], "uniform").pvalue > 1e-3
-    assert sum(bool(found.verdict) for found in fits) <= binom.isf(1e-4, REPEATS, 0.015)
+    assert sum(result["random walk"].significant for result in fits) > 0.9 * REPEATS
+    assert kstest([result.p_value for result in fits], "uniform").pvalue > 1e-3
+    assert sum(bool(result.verdict) for result in fits) <= binom.isf(1e-4, REPEATS, 0.015)
 
 
 def normal(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
@@ -108,8 +108,8 @@ def test_kurtosis_of_white_noise_of_known_distributions() -> None:
     drift = np.linspace(0, 50, rows)
     series = [rng.uniform(size=rows), rng.laplace(size=rows), rng.integers(0, 2, rows), rng.normal(size=rows) + drift]
     for estimator in ("overlapping", "decimated"):
-        found = allan_deviation(np.stack(series, axis=1), 1.0, (1, 2, 4), estimator=estimator).kurtosis
-        np.testing.assert_allclose(found, [-1.2, 3.0, -2.0, 0.0], atol=0.15)
+        result = allan_deviation(np.stack(series, axis=1), 1.0, (1, 2, 4), estimator=estimator).kurtosis
+        np.testing.assert_allclose(result, [-1.2, 3.0, -2.0, 0.0], atol=0.15)
 
 
 @pytest.mark.slow
@@ -117,19 +117,19 @@ def test_absent_terms_are_omitted() -> None:
     """White noise alone: each other term stays in 1 % to 3 %, and its upper limit is stated."""
     fits = all_fitted(white(4))
     for term in ("flicker", "random walk"):
-        assert sum(found[term].significant for found in fits) <= binom.isf(1e-4, REPEATS, 0.03)
-        assert all(found[term].value == found[term].low == 0 for found in fits if not found[term].significant)
+        assert sum(result[term].significant for result in fits) <= binom.isf(1e-4, REPEATS, 0.03)
+        assert all(result[term].value == result[term].low == 0 for result in fits if not result[term].significant)
     assert covered(fits, "white", INTERVAL_S**0.5) >= binom.ppf(1e-4, REPEATS, 0.94)
-    bound = np.median([found["flicker"].high for found in fits])
+    bound = np.median([result["flicker"].high for result in fits])
     assert 0.02 < bound < 0.2
-    assert kstest([found.p_value for found in fits], "uniform").pvalue > 1e-3
+    assert kstest([result.p_value for result in fits], "uniform").pvalue > 1e-3
 
 
 @pytest.mark.slow
 def test_a_random_walk_alone_is_fitted() -> None:
     fits = all_fitted(np.cumsum(white(5), axis=0))
     assert covered(fits, "random walk", INTERVAL_S**-0.5) >= binom.ppf(1e-4, REPEATS, 0.94)
-    assert all(found["random walk"].significant for found in fits)
+    assert all(result["random walk"].significant for result in fits)
 
 
 COEFFICIENTS: dict[Term, float] = {
@@ -151,16 +151,16 @@ def test_an_exact_curve_gives_its_coefficients(left_out: tuple[Term, ...]) -> No
     steps = 1 + 1 / (2 * (tau_s / INTERVAL_S) ** 2)
     variance = 3 * Q**2 / tau_s**2 + N**2 / tau_s + 2 * np.log(2) / np.pi * B**2 + K**2 * tau_s * steps / 3
     exact = replace(curve, deviation=np.sqrt(variance + R**2 * tau_s**2 / 2))
-    found = fit_noise(exact, terms=[term for term in TERMS if term not in left_out], unit="dps")
-    assert found is not None
-    assert {item.term for item in found.coefficients} == set(TERMS) - set(left_out)
-    for item in found.coefficients:
+    result = fit_noise(exact, terms=[term for term in TERMS if term not in left_out], unit="dps")
+    assert result is not None
+    assert {item.term for item in result.coefficients} == set(TERMS) - set(left_out)
+    for item in result.coefficients:
         assert item.low <= given[item.term] <= item.high
         if item.significant:
             assert item.unit == UNITS[item.term].format(unit="dps")
-    assert found["white"].value == pytest.approx(N, rel=1e-3)
-    assert found.p_value > 0.99
-    assert found.verdict == ""
+    assert result["white"].value == pytest.approx(N, rel=1e-3)
+    assert result.p_value > 0.99
+    assert result.verdict == ""
 
 
 ROWS_ONE = 100_000
@@ -180,11 +180,11 @@ ONE = np.random.default_rng(7).normal(size=ROWS_ONE)
     ids=["strong tone", "weak tone", "ramp", "low-pass filter", "quantised angle"],
 )
 def test_a_bad_fit_is_reported(series: np.ndarray) -> None:
-    found = fitted(series)
-    assert found.p_value < 1e-4
-    assert "no sum of white, flicker and random walk fits this curve" in found.verdict
-    assert f"at tau = {found.worst_tau_s:.3g} s" in found.verdict
-    assert abs(np.log(found.worst_ratio)) > 0.05
+    result = fitted(series)
+    assert result.p_value < 1e-4
+    assert "no sum of white, flicker and random walk fits this curve" in result.verdict
+    assert f"at tau = {result.worst_tau_s:.3g} s" in result.verdict
+    assert abs(np.log(result.worst_ratio)) > 0.05
 
 
 def test_ramp_and_quantisation_terms_fit() -> None:
@@ -200,10 +200,10 @@ def test_ramp_and_quantisation_terms_fit() -> None:
 
 def test_the_filtered_start_can_be_excluded() -> None:
     """After a first-order filter with a time constant of 1.4 rows the curve is that of white noise from 32 rows on."""
-    found = fitted(lfilter([0.5], [1, -0.5], ONE), shortest_s=32 * INTERVAL_S)
-    assert found.tau_s[0] == pytest.approx(32 * INTERVAL_S)
-    assert found.verdict == ""
-    assert found["white"].value == pytest.approx(INTERVAL_S**0.5, rel=0.06)
+    result = fitted(lfilter([0.5], [1, -0.5], ONE), shortest_s=32 * INTERVAL_S)
+    assert result.tau_s[0] == pytest.approx(32 * INTERVAL_S)
+    assert result.verdict == ""
+    assert result["white"].value == pytest.approx(INTERVAL_S**0.5, rel=0.06)
 
 
 def test_columns_are_independent_and_coefficients_scale() -> None:
@@ -219,9 +219,9 @@ def test_columns_are_independent_and_coefficients_scale() -> None:
 @pytest.mark.parametrize("scale", [1e-120, 1e120])
 def test_tiny_and_huge_units_are_fitted(scale: float) -> None:
     """Deviations whose squares underflow or overflow float64."""
-    found, one = fitted(scale * ONE), fitted(ONE)
-    assert found["white"].value == pytest.approx(scale * one["white"].value, rel=1e-6)
-    assert found["flicker"].high == pytest.approx(scale * one["flicker"].high, rel=1e-6)
+    result, one = fitted(scale * ONE), fitted(ONE)
+    assert result["white"].value == pytest.approx(scale * one["white"].value, rel=1e-6)
+    assert result["flicker"].high == pytest.approx(scale * one["flicker"].high, rel=1e-6)
 
 
 def test_too_few_points_give_no_fit() -> None:
@@ -249,13 +249,13 @@ def test_unknown_terms_are_refused() -> None:
     st.lists(st.sampled_from(TERMS), min_size=1, unique=True),
 )
 def test_intervals_of_any_series_are_ordered(values: np.ndarray, terms: list[Term]) -> None:
-    found = fit_noise(allan_deviation(values, 0.1), terms=terms)
-    if found is None:
+    result = fit_noise(allan_deviation(values, 0.1), terms=terms)
+    if result is None:
         return
-    for item in found.coefficients:
+    for item in result.coefficients:
         assert 0 <= item.low <= item.value * (1 + 1e-9)
         assert item.value <= item.high * (1 + 1e-9)
-    assert np.isnan(found.p_value) if found.freedom == 0 else 0 <= found.p_value <= 1
+    assert np.isnan(result.p_value) if result.freedom == 0 else 0 <= result.p_value <= 1
 
 
 def nights() -> tuple[tuple[int, int], ...]:

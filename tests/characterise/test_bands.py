@@ -91,5 +91,5 @@ def test_harmonics_name_their_fundamental() -> None:
     def line(frequency_hz: float) -> dict[str, float | None]:
         return {"frequency_hz": frequency_hz, "frequency_error_hz": 0.005}
 
-    found = _with_harmonics([line(15.7), line(31.41), line(40.0), line(47.09)], 0.024)
-    assert [one["fundamental_hz"] for one in found] == [None, 15.7, None, 15.7]
+    result = _with_harmonics([line(15.7), line(31.41), line(40.0), line(47.09)], 0.024)
+    assert [one["fundamental_hz"] for one in result] == [None, 15.7, None, 15.7]

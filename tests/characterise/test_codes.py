@@ -51,35 +51,35 @@ def test_a_histogram_of_widely_spread_codes() -> None:
 @settings(deadline=None)
 @given(CODES)
 def test_moments_and_step_equal_scipy(values: np.ndarray) -> None:
-    found = of(values)
-    assert found.readings == len(values)
-    assert found.mean == pytest.approx(float(values.mean(dtype=float)), abs=1e-9)
-    assert found.even_share == pytest.approx(float((values % 2 == 0).mean()))
+    result = of(values)
+    assert result.readings == len(values)
+    assert result.mean == pytest.approx(float(values.mean(dtype=float)), abs=1e-9)
+    assert result.even_share == pytest.approx(float((values % 2 == 0).mean()))
     whole = [int(value) for value in values]
-    assert found.step == np.gcd.reduce([value - whole[0] for value in whole])
+    assert result.step == np.gcd.reduce([value - whole[0] for value in whole])
     if len(values) >= 4 and values.std() > 0:
         real = values.astype(float)
-        assert found.std == pytest.approx(real.std(ddof=1), rel=1e-9)
-        assert found.skewness == pytest.approx(float(skew(real, bias=False)), rel=1e-6, abs=1e-6)
-        assert found.excess_kurtosis == pytest.approx(float(kurtosis(real, bias=False)), rel=1e-6, abs=1e-6)
+        assert result.std == pytest.approx(real.std(ddof=1), rel=1e-9)
+        assert result.skewness == pytest.approx(float(skew(real, bias=False)), rel=1e-6, abs=1e-6)
+        assert result.excess_kurtosis == pytest.approx(float(kurtosis(real, bias=False)), rel=1e-6, abs=1e-6)
 
 
 def test_skewness_and_kurtosis_scatter_by_their_errors() -> None:
     """Over 400 Gaussian series the estimates scatter by their standard errors (known to 3.5 %; 18 % are five)."""
-    found = [of(gauss(seed, rows=500)) for seed in range(400)]
-    assert np.std([one.skewness for one in found]) == pytest.approx(found[0].skewness_error, rel=0.18)
-    assert np.std([one.excess_kurtosis for one in found]) == pytest.approx(found[0].kurtosis_error, rel=0.18)
+    result = [of(gauss(seed, rows=500)) for seed in range(400)]
+    assert np.std([one.skewness for one in result]) == pytest.approx(result[0].skewness_error, rel=0.18)
+    assert np.std([one.excess_kurtosis for one in result]) == pytest.approx(result[0].kurtosis_error, rel=0.18)
 
 
 def test_false_alarms_of_a_sound_converter() -> None:
     """200 Gaussian series of 5000 readings: each test has p < 1 % in at most 1 % of them (limit: 1e-4)."""
-    found = [of(gauss(seed, 4.0, 5000)) for seed in range(200)]
+    result = [of(gauss(seed, 4.0, 5000)) for seed in range(200)]
     most = binom.isf(1e-4, 200, 0.01)
-    assert sum(one.even_p < 0.01 for one in found) <= most
-    assert sum(any(gap.p_value < 0.01 for gap in one.missing) for one in found) <= most
-    assert sum(one.low_end.p_value < 0.01 for one in found) <= most
-    assert sum(one.high_end.p_value < 0.01 for one in found) <= most
-    assert {one.step for one in found} == {one.usual_step for one in found} == {1}
+    assert sum(one.even_p < 0.01 for one in result) <= most
+    assert sum(any(gap.p_value < 0.01 for gap in one.missing) for one in result) <= most
+    assert sum(one.low_end.p_value < 0.01 for one in result) <= most
+    assert sum(one.high_end.p_value < 0.01 for one in result) <= most
+    assert {one.step for one in result} == {one.usual_step for one in result} == {1}
 
 
 def test_p_values_of_even_codes_by_chance_are_uniform() -> None:
@@ -91,47 +91,47 @@ def test_p_values_of_even_codes_by_chance_are_uniform() -> None:
 def test_even_codes_alone_are_detected() -> None:
     """An ADXL345 at 1600 Hz and more: the least bit is 0 (ADX-47); a bus word of ones changes the step."""
     even = gauss(1) // 2 * 2
-    found = of(even)
-    assert (found.even_share, found.step, found.usual_step) == (1, 2, 2)
-    assert found.even_p < 1e-100
-    assert all(gap.p_value > 0.01 for gap in found.missing)
-    found = of(np.concatenate([even, [-1]]))
-    assert (found.step, found.usual_step) == (1, 2)
+    result = of(even)
+    assert (result.even_share, result.step, result.usual_step) == (1, 2, 2)
+    assert result.even_p < 1e-100
+    assert all(gap.p_value > 0.01 for gap in result.missing)
+    result = of(np.concatenate([even, [-1]]))
+    assert (result.step, result.usual_step) == (1, 2)
 
 
 def test_missing_codes_are_detected() -> None:
     values = gauss(2)
     values = values[(values != 1003) & ((values < 990) | (values > 991))]
-    found = of(values)
-    gaps = {(gap.first, gap.last): gap.p_value for gap in found.missing}
+    result = of(values)
+    gaps = {(gap.first, gap.last): gap.p_value for gap in result.missing}
     assert gaps[1003, 1003] < 1e-100
     assert gaps[990, 991] < 1e-100
     assert sum(p_value < 0.01 for p_value in gaps.values()) == 2
-    assert found.missing_codes >= 3
+    assert result.missing_codes >= 3
 
 
 def test_missing_code_by_hand() -> None:
     """Neighbours occur 5 and 3 times, three codes occur: 2 * (1 / 2)^3."""
-    found = of(np.repeat([10, 12, 13], [5, 3, 9]))
-    assert [(gap.first, gap.last) for gap in found.missing] == [(11, 11)]
-    assert found.missing[0].p_value == pytest.approx(0.25)
+    result = of(np.repeat([10, 12, 13], [5, 3, 9]))
+    assert [(gap.first, gap.last) for gap in result.missing] == [(11, 11)]
+    assert result.missing[0].p_value == pytest.approx(0.25)
 
 
 def test_a_clipped_end_is_detected() -> None:
     values = np.minimum(gauss(3), 1010)
-    found = of(values, (-4096, 1010))
-    assert found.high_end.code == 1010
-    assert found.high_end.share == found.span_share == pytest.approx(float((values == 1010).mean()))
-    assert found.high_end.p_value < 1e-100
-    assert found.low_end.p_value > 0.01
+    result = of(values, (-4096, 1010))
+    assert result.high_end.code == 1010
+    assert result.high_end.share == result.span_share == pytest.approx(float((values == 1010).mean()))
+    assert result.high_end.p_value < 1e-100
+    assert result.low_end.p_value > 0.01
     assert np.isnan(of(values).span_share)
 
 
 def test_narrow_or_constant_readings_have_no_parity_test() -> None:
-    found = of(gauss(4, 0.5))
-    assert np.isnan([found.even_p, found.low_end.p_value, found.high_end.p_value]).all()
-    found = of(np.full(100, 7))
-    assert (found.mean, found.std, found.step, found.usual_step, found.missing_codes) == (7, 0, 0, 0, 0)
-    assert np.isnan([found.skewness, found.excess_kurtosis, found.even_p]).all()
+    result = of(gauss(4, 0.5))
+    assert np.isnan([result.even_p, result.low_end.p_value, result.high_end.p_value]).all()
+    result = of(np.full(100, 7))
+    assert (result.mean, result.std, result.step, result.usual_step, result.missing_codes) == (7, 0, 0, 0, 0)
+    assert np.isnan([result.skewness, result.excess_kurtosis, result.even_p]).all()
     with pytest.raises(ValueError, match="needs readings"):
         code_density(NOTHING)

@@ -13,19 +13,19 @@ SURE = np.full(16, 1e6)
 
 
 def test_density_of_a_white_curve() -> None:
-    found = white_noise(TAU_S, 0.3 / np.sqrt(TAU_S), SURE)
-    assert found is not None
-    assert found.density == pytest.approx(0.3, rel=1e-12)
-    assert (found.shortest_s, found.longest_s) == pytest.approx((0.01, 0.08))
+    result = white_noise(TAU_S, 0.3 / np.sqrt(TAU_S), SURE)
+    assert result is not None
+    assert result.density == pytest.approx(0.3, rel=1e-12)
+    assert (result.shortest_s, result.longest_s) == pytest.approx((0.01, 0.08))
 
 
 def test_the_filtered_start_is_ignored() -> None:
     """Flat up to 0.04 s like the output of a low-pass filter, then white: the density is that of the white part."""
     deviation = 0.3 / np.sqrt(np.maximum(TAU_S, 0.04))
-    found = white_noise(TAU_S, deviation, SURE)
-    assert found is not None
-    assert found.density == pytest.approx(0.3, rel=1e-12)
-    assert found.shortest_s == pytest.approx(0.04)
+    result = white_noise(TAU_S, deviation, SURE)
+    assert result is not None
+    assert result.density == pytest.approx(0.3, rel=1e-12)
+    assert result.shortest_s == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize("slope", [-1.0, 0.0, 0.5])
@@ -44,8 +44,8 @@ def test_white_density_of_readings() -> None:
     """Readings of deviation s at a rate f have the two-sided density s / sqrt(f); mean of 60 within 5 errors."""
     noise = np.random.default_rng(5).normal(0, 4.0, (20_000, 60))
     curve = allan_deviation(noise, 1 / 400)
-    found = [white_noise(curve.tau_s, curve.deviation[:, k], curve.freedom[:, k]) for k in range(60)]
-    densities = np.array([white.density for white in found if white])
+    result = [white_noise(curve.tau_s, curve.deviation[:, k], curve.freedom[:, k]) for k in range(60)]
+    densities = np.array([white.density for white in result if white])
     assert len(densities) == 60
     assert abs(densities.mean() - 0.2) < 5 * densities.std() / 60**0.5
     assert densities.std() < 0.01 * 0.2
@@ -54,21 +54,21 @@ def test_white_density_of_readings() -> None:
 def test_the_floor_is_the_minimum_of_the_curve() -> None:
     """White noise and a random walk that cross at 1.28 s: adev^2 = a / tau + b tau, its minimum is 2 sqrt(a b)."""
     deviation = np.sqrt(0.04 / TAU_S + 0.04 / 1.28**2 * TAU_S)
-    found = floor(TAU_S, deviation, 0.9 * deviation, 1.1 * deviation, SURE)
-    assert found is not None
-    assert found.tau_s == pytest.approx(1.28)
-    assert found.instability == pytest.approx(np.sqrt(2 * 0.04 / 1.28) / 0.664, rel=1e-3)
-    assert (found.low, found.high) == pytest.approx((0.9 * found.instability, 1.1 * found.instability))
-    assert not found.is_bound
+    result = floor(TAU_S, deviation, 0.9 * deviation, 1.1 * deviation, SURE)
+    assert result is not None
+    assert result.tau_s == pytest.approx(1.28)
+    assert result.instability == pytest.approx(np.sqrt(2 * 0.04 / 1.28) / 0.664, rel=1e-3)
+    assert (result.low, result.high) == pytest.approx((0.9 * result.instability, 1.1 * result.instability))
+    assert not result.is_bound
 
 
 def test_a_floor_that_is_not_reached_is_a_bound() -> None:
     deviation = 0.3 / np.sqrt(TAU_S)
     unsure = np.where(TAU_S > 100, 2.0, 1e6)
-    found = floor(TAU_S, deviation, deviation, deviation, unsure)
-    assert found is not None
-    assert found.is_bound
-    assert found.tau_s == pytest.approx(TAU_S[TAU_S <= 100][-1])
+    result = floor(TAU_S, deviation, deviation, deviation, unsure)
+    assert result is not None
+    assert result.is_bound
+    assert result.tau_s == pytest.approx(TAU_S[TAU_S <= 100][-1])
 
 
 def test_a_constant_series_has_no_density_and_no_floor() -> None:

@@ -52,10 +52,10 @@ def test_line_and_correlation_of_the_papers_gyroscope(characterised: Characteris
     0.41.
     """
     shaped = ("bandwidth", {"cutoff_hz": 51.0})
-    told = findings(characterised(NOISE, shaped, ("tone", {"amplitude": (0.0, 0.06, 0.0), "frequency_hz": 50.0})))
-    line = next(text for text in told if "a line at 50 Hz" in text)
+    sentences = findings(characterised(NOISE, shaped, ("tone", {"amplitude": (0.0, 0.06, 0.0), "frequency_hz": 50.0})))
+    line = next(text for text in sentences if "a line at 50 Hz" in text)
     assert line.startswith("G y: a line at 50 Hz (or an alias of 300, 400, ... Hz)")
-    assert "G x, z: neighbouring readings correlate by 0.41" in told
+    assert "G x, z: neighbouring readings correlate by 0.41" in sentences
 
 
 @pytest.mark.slow
@@ -74,10 +74,10 @@ def test_mains_lines_are_named_with_their_alias(characterised: Characterise) -> 
 @pytest.mark.slow
 def test_codes_repeats_and_losses_are_reported(characterised: Characterise) -> None:
     coarse = ("quantisation", {"step_lsb": 4})
-    told = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
-    assert "G x, y, z: only every 4th code" in told
+    sentences = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
+    assert "G x, y, z: only every 4th code" in sentences
     (slow,) = (
-        text for text in told if text.startswith("G: is read 350 times a second, but measures only 24")
+        text for text in sentences if text.startswith("G: is read 350 times a second, but measures only 24")
     )  # 0.7 * 350
     assert re.search(r"only 24\d(\.\d)? times; the same reading occurs up to \d+ times in a row", slow)
     (seldom,) = findings(characterised(NOISE, ("stale_samples", {"probability": 0.03})))
@@ -132,11 +132,12 @@ def test_an_adaptive_range_is_reported(tmp_path: Path, hold_s: float) -> None:
         result = characterise_log(log)
     stalls = result["sensors"][0]["stalls"]
     assert stalls["passages"] >= 10
-    told = [sentence for sentence in findings(result) if "adaptive range" in sentence]
-    assert bool(told) == bool(hold_s)
+    sentences = [sentence for sentence in findings(result) if "adaptive range" in sentence]
+    assert bool(sentences) == bool(hold_s)
     if hold_s:
         assert re.search(
-            r"G: its readings freeze at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on", told[0]
+            r"G: its readings freeze at \d+ of \d+ passages of 100 dps in the log: its adaptive range is on",
+            sentences[0],
         )
 
 

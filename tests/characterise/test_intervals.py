@@ -34,17 +34,17 @@ def clock(rows: int, seed: int, jitter_ns: float = 0.0, stamp_ns: float = 0.0, a
 def test_intervals_of_short_logs_are_exact(intervals: list[int], block: int) -> None:
     """Intervals up to 65,535 ns have bins of 1 ns: median, and gaps above 1.5 upper quartiles, by sorting."""
     time_ns = 10**15 + np.cumsum([0, *intervals])
-    found = tally(time_ns, block)
+    result = tally(time_ns, block)
     median = sorted(intervals)[(len(intervals) - 1) // 2]
     quartile = sorted(intervals)[-(-3 * len(intervals) // 4) - 1]
     gaps = [interval for interval in intervals if interval > 1.5 * quartile]
     usual = [interval for interval in intervals if interval not in gaps]
-    assert found.rows == len(intervals) + 1
-    assert found.median_s == pytest.approx(median * 1e-9)
-    assert (found.gaps, found.gaps_s) == (len(gaps), pytest.approx(sum(gaps) * 1e-9))
-    assert found.mean_s == pytest.approx(np.mean(usual) * 1e-9)
-    assert [gap.length_s for gap in found.longest] == pytest.approx([gap * 1e-9 for gap in sorted(gaps)[:-6:-1]])
-    for gap in found.longest:
+    assert result.rows == len(intervals) + 1
+    assert result.median_s == pytest.approx(median * 1e-9)
+    assert (result.gaps, result.gaps_s) == (len(gaps), pytest.approx(sum(gaps) * 1e-9))
+    assert result.mean_s == pytest.approx(np.mean(usual) * 1e-9)
+    assert [gap.length_s for gap in result.longest] == pytest.approx([gap * 1e-9 for gap in sorted(gaps)[:-6:-1]])
+    for gap in result.longest:
         assert time_ns[gap.row - 1] == gap.after_ns
         assert time_ns[gap.row] - gap.after_ns == round(gap.length_s * 1e9)
 
@@ -60,19 +60,19 @@ def test_results_do_not_depend_on_blocks() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_jitter_of_intervals_is_estimated(seed: int) -> None:
     """20,000 ns: the standard deviation of 40,000 is known to 0.35 %, the robust to 0.8 % (five of them: 4 %)."""
-    found = tally(clock(40_000, seed, 20_000))
-    assert found.jitter_rms_s == pytest.approx(20e-6, rel=0.02)
-    assert found.jitter_robust_s == pytest.approx(20e-6, rel=0.04)
-    assert found.median_s == pytest.approx(2.5e-3, abs=5 * 1.25 * 20e-6 / 200)
-    assert (found.alternation_s, found.gaps) == (0, 0)
+    result = tally(clock(40_000, seed, 20_000))
+    assert result.jitter_rms_s == pytest.approx(20e-6, rel=0.02)
+    assert result.jitter_robust_s == pytest.approx(20e-6, rel=0.04)
+    assert result.median_s == pytest.approx(2.5e-3, abs=5 * 1.25 * 20e-6 / 200)
+    assert (result.alternation_s, result.gaps) == (0, 0)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_jitter_of_stamps_is_not_an_alternation(seed: int) -> None:
     """Neighbouring intervals correlate by -1/2, of sqrt(2) times the stamps' jitter."""
-    found = tally(clock(40_000, seed, 0, 20_000))
-    assert found.jitter_rms_s == pytest.approx(2**0.5 * 20e-6, rel=0.03)
-    assert found.alternation_s == 0
+    result = tally(clock(40_000, seed, 0, 20_000))
+    assert result.jitter_rms_s == pytest.approx(2**0.5 * 20e-6, rel=0.03)
+    assert result.alternation_s == 0
 
 
 @pytest.mark.parametrize("alternation_ns", [30_000, 700_000, 2_000_000])
@@ -80,11 +80,11 @@ def test_alternating_intervals_are_detected(alternation_ns: int) -> None:
     """Intervals alternate down to 0.5 ms and 4.5 ms, with jitter, and a gap shifts the alternation."""
     early = clock(20_000, 3, 20_000, 0, alternation_ns)
     late = clock(15_001, 4, 20_000, 0, -alternation_ns) + early[-1] + 50_000_000
-    found = tally(np.concatenate([early, late]))
-    assert found.alternation_s == pytest.approx(alternation_ns * 1e-9, rel=0.02)
-    assert found.jitter_robust_s == pytest.approx(20e-6, rel=0.05)
-    assert found.jitter_rms_s < 60e-6
-    assert (found.gaps, found.longest[0].row, found.longest[0].after_ns) == (1, 20_000, early[-1])
+    result = tally(np.concatenate([early, late]))
+    assert result.alternation_s == pytest.approx(alternation_ns * 1e-9, rel=0.02)
+    assert result.jitter_robust_s == pytest.approx(20e-6, rel=0.05)
+    assert result.jitter_rms_s < 60e-6
+    assert (result.gaps, result.longest[0].row, result.longest[0].after_ns) == (1, 20_000, early[-1])
 
 
 def test_outliers_and_drift_do_not_bias_the_robust_jitter() -> None:
@@ -92,25 +92,25 @@ def test_outliers_and_drift_do_not_bias_the_robust_jitter() -> None:
     rng = np.random.default_rng(5)
     intervals = MEAN_NS * np.linspace(1, 1.1, 40_000) + rng.normal(0, 10_000, 40_000)
     intervals[rng.random(40_000) < 0.01] *= 1.3
-    found = tally(np.rint(np.cumsum(intervals)).astype(np.int64))
-    assert found.jitter_robust_s == pytest.approx(10e-6, rel=0.08)
-    assert found.jitter_rms_s > 70e-6
-    assert found.alternation_s == 0
+    result = tally(np.rint(np.cumsum(intervals)).astype(np.int64))
+    assert result.jitter_robust_s == pytest.approx(10e-6, rel=0.08)
+    assert result.jitter_rms_s > 70e-6
+    assert result.alternation_s == 0
 
 
 def test_a_regular_clock_has_no_jitter() -> None:
-    found = tally(np.arange(5000) * MEAN_NS)
-    assert found.median_s == pytest.approx(2.5e-3, rel=1e-5)
-    assert found.mean_s == pytest.approx(2.5e-3, rel=1e-12)
-    assert found.jitter_rms_s < 2.5e-3 / 2**16
-    assert found.jitter_robust_s < 2.5e-3 / 2**16
-    assert (found.alternation_s, found.gaps, found.longest) == (0, 0, ())
+    result = tally(np.arange(5000) * MEAN_NS)
+    assert result.median_s == pytest.approx(2.5e-3, rel=1e-5)
+    assert result.mean_s == pytest.approx(2.5e-3, rel=1e-12)
+    assert result.jitter_rms_s < 2.5e-3 / 2**16
+    assert result.jitter_robust_s < 2.5e-3 / 2**16
+    assert (result.alternation_s, result.gaps, result.longest) == (0, 0, ())
 
 
 def test_few_rows_have_no_figures_and_repeated_times_are_refused() -> None:
     for rows in (0, 1):
-        found = tally(np.arange(rows))
-        assert (found.rows, found.gaps) == (rows, 0)
-        assert np.isnan([found.median_s, found.mean_s, found.jitter_rms_s, found.jitter_robust_s]).all()
+        result = tally(np.arange(rows))
+        assert (result.rows, result.gaps) == (rows, 0)
+        assert np.isnan([result.median_s, result.mean_s, result.jitter_rms_s, result.jitter_robust_s]).all()
     with pytest.raises(ValueError, match="at row 5"):
         tally(np.array([0, 10, 20, 30, 40, 40, 60]), 3)

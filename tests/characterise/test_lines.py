@@ -40,8 +40,8 @@ def test_rate_of_false_alarms(kind: str, rows: int) -> None:
 
     The lower limit is that of 5 %: bins are correlated, and a line must be narrow too.
     """
-    found = spectrum(coloured(kind, np.random.default_rng(21), (rows, 240)))
-    hits = sum(bool(find_lines(found, column, 0.1).lines) for column in range(240))
+    result = spectrum(coloured(kind, np.random.default_rng(21), (rows, 240)))
+    hits = sum(bool(find_lines(result, column, 0.1).lines) for column in range(240))
     assert binom.ppf(1e-4, 240, 0.05) <= hits <= binom.isf(1e-4, 240, 0.1)
 
 
@@ -94,8 +94,8 @@ def test_the_floor_of_a_smooth_spectrum_is_the_spectrum(rows: int, law: Any, tol
 
 def test_the_floor_is_the_mean_of_the_noise() -> None:
     """Not its median, which is lower by 2 / 3 / freedom: mean over 100 columns within five standard errors."""
-    found = spectrum(np.random.default_rng(31).normal(size=(2048, 100)))
-    means = [float(noise_floor(found, column).density[:-1].mean()) for column in range(100)]
+    result = spectrum(np.random.default_rng(31).normal(size=(2048, 100)))
+    means = [float(noise_floor(result, column).density[:-1].mean()) for column in range(100)]
     assert abs(np.mean(means) - 2) < 5 * np.std(means) / 10 + 0.01
     assert np.std(means) / 10 < 0.01
 
@@ -104,10 +104,10 @@ def test_intermittent_noise_has_fewer_degrees_of_freedom() -> None:
     """Twenty times as loud in a tenth of the time: only those segments contribute, and no line is detected."""
     values = np.random.default_rng(32).normal(size=(32_768, 40))
     values[:3277] *= 20
-    found = spectrum(values)
-    assert found.freedom[30] > 200
-    assert max(noise_floor(found, column).spectrum_freedom[0] for column in range(40)) < 60
-    assert sum(bool(find_lines(found, column, 0.1).lines) for column in range(40)) <= binom.isf(1e-4, 40, 0.1)
+    result = spectrum(values)
+    assert result.freedom[30] > 200
+    assert max(noise_floor(result, column).spectrum_freedom[0] for column in range(40)) < 60
+    assert sum(bool(find_lines(result, column, 0.1).lines) for column in range(40)) <= binom.isf(1e-4, 40, 0.1)
 
 
 def test_a_strong_line_neither_hides_nor_creates_lines() -> None:
@@ -115,9 +115,9 @@ def test_a_strong_line_neither_hides_nor_creates_lines() -> None:
     row = np.arange(32_768)
     values = np.random.default_rng(33).normal(0, 0.01, (len(row), 20)) + 3 * np.sin(2 * np.pi * 0.1003 * row)[:, None]
     values += 0.002 * np.sin(2 * np.pi * 0.16 * row)[:, None] + 0.003 * (-1.0) ** row[:, None]
-    found = spectrum(values, 100.0)
+    result = spectrum(values, 100.0)
     for column in range(20):
-        strong, alternation, weak = find_lines(found, column).lines
+        strong, alternation, weak = find_lines(result, column).lines
         assert strong.frequency_hz == pytest.approx(10.03, abs=5 * strong.frequency_error_hz)
         assert strong.amplitude == pytest.approx(3, rel=1e-3)
         assert alternation.frequency_hz == 50

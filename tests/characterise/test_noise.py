@@ -39,14 +39,14 @@ def test_streamed_statistics_equal_numpy(count: int, share: int, seed: int, bloc
     status = np.where(rng.random(count) < share / 4, rng.choice([STALE, SATURATED, SUSPECT]), OVERRUN).astype(np.uint16)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(noise_module, "_BLOCK", block)
-        found = statistics(counts, status)
+        result = statistics(counts, status)
     used = counts[status == OVERRUN].astype(float)
-    assert (found.rows, found.used) == (count, len(used))
-    assert found.flags["overrun"] == len(used)
+    assert (result.rows, result.used) == (count, len(used))
+    assert result.flags["overrun"] == len(used)
     if len(used) > 1:
-        np.testing.assert_allclose(found.mean, used.mean(axis=0), rtol=1e-12, atol=1e-9)
-        np.testing.assert_allclose(found.std, used.std(axis=0, ddof=1), rtol=1e-12)
-        np.testing.assert_allclose(found.even_share, (used % 2 == 0).mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(result.mean, used.mean(axis=0), rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(result.std, used.std(axis=0, ddof=1), rtol=1e-12)
+        np.testing.assert_allclose(result.even_share, (used % 2 == 0).mean(axis=0), rtol=1e-12)
 
 
 def test_a_large_mean_keeps_the_precision() -> None:
@@ -57,10 +57,10 @@ def test_a_large_mean_keeps_the_precision() -> None:
 
 def test_rows_outside_the_range_are_excluded() -> None:
     counts = np.vstack([np.full((100, 3), 9), np.tile([[0], [2]], (50, 3)), np.full((100, 3), 9)])
-    found = statistics(counts, rows=slice(100, 200))
-    np.testing.assert_array_equal(found.mean, [1, 1, 1])
-    np.testing.assert_allclose(found.lag1, -1, atol=0.02)
-    np.testing.assert_array_equal(found.even_share, 1)
+    result = statistics(counts, rows=slice(100, 200))
+    np.testing.assert_array_equal(result.mean, [1, 1, 1])
+    np.testing.assert_allclose(result.lag1, -1, atol=0.02)
+    np.testing.assert_array_equal(result.even_share, 1)
 
 
 def test_lag_one_correlation_of_a_known_process() -> None:
@@ -102,6 +102,6 @@ def test_intervals_of_the_mean_cover(pole: float) -> None:
     """
     rng = np.random.default_rng(6)
     noise = lfilter([1.0], [1.0, -pole], rng.normal(0, 100, (3400, 600)), axis=0)[200:]
-    found = statistics(np.rint(noise).astype(np.int32))
-    covered = int((np.abs(found.mean) <= t.ppf(0.975, 31) * found.sem).sum())
+    result = statistics(np.rint(noise).astype(np.int32))
+    covered = int((np.abs(result.mean) <= t.ppf(0.975, 31) * result.sem).sum())
     assert binom.ppf(1e-5, 600, 0.93) <= covered <= binom.isf(1e-5, 600, 0.97)

@@ -46,9 +46,9 @@ def _sensors() -> dict[str, np.ndarray]:
     missing[:, 1] = np.where(rng.random(ROWS) < 0.6, missing[:, 1] & ~1, missing[:, 1] | 1)
     missing[7, 2] = 600
     constant, ramp = np.full((ROWS, 3), 7), np.arange(ROWS)[:, None] * [1, 1, 1]
-    found = {"white": white(), "hum": hum, "clipped": clipped, "steps": steps, "missing": missing}
-    found |= {"constant": constant, "ramp": ramp, "one": white(1), "short": white(8), "empty": white(0)}
-    return {name: counts.astype(np.int32) for name, counts in found.items()}
+    outcome = {"white": white(), "hum": hum, "clipped": clipped, "steps": steps, "missing": missing}
+    outcome |= {"constant": constant, "ramp": ramp, "one": white(1), "short": white(8), "empty": white(0)}
+    return {name: counts.astype(np.int32) for name, counts in outcome.items()}
 
 
 @pytest.fixture(scope="module")
@@ -158,12 +158,12 @@ def test_drawn_density_of_white_noise_and_a_line(result: dict[str, Any]) -> None
 
 def test_bands_are_means_of_a_sixth_of_an_octave() -> None:
     frequency_hz = np.arange(65.0)
-    found = bands(frequency_hz, frequency_hz**2, (frequency_hz >= 2) & (frequency_hz != 40) & (frequency_hz < 64))
-    assert found.bins.sum() == 61
-    assert np.all(found.bins[:6] == 1)
+    outcome = bands(frequency_hz, frequency_hz**2, (frequency_hz >= 2) & (frequency_hz != 40) & (frequency_hz < 64))
+    assert outcome.bins.sum() == 61
+    assert np.all(outcome.bins[:6] == 1)
     # the last sixth of the octave below 64 begins at 64 * 2^(-1/6) = 57.02
     last = np.arange(58.0, 64.0)
-    assert (found.frequency_hz[-1], found.density[-1]) == (last.mean(), pytest.approx((last**2).mean()))
+    assert (outcome.frequency_hz[-1], outcome.density[-1]) == (last.mean(), pytest.approx((last**2).mean()))
 
 
 def test_band_intervals_cover_the_truth() -> None:
@@ -216,7 +216,7 @@ def test_a_sensor_has_the_same_colour_in_every_figure(result: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize(
-    ("sensor", "said"),
+    ("sensor", "expected"),
     [
         ("white", [[], [], []]),
         ("steps", [["even codes only"], ["codes in steps of 4"], ["odd codes only"]]),
@@ -225,8 +225,8 @@ def test_a_sensor_has_the_same_colour_in_every_figure(result: dict[str, Any]) ->
         ("one", [[], [], []]),
     ],
 )
-def test_marks_of_codes(result: dict[str, Any], sensor: str, said: list[list[str]]) -> None:
-    assert [marks(axis, LEVEL) for axis in _axes(result, sensor)] == said
+def test_marks_of_codes(result: dict[str, Any], sensor: str, expected: list[list[str]]) -> None:
+    assert [marks(axis, LEVEL) for axis in _axes(result, sensor)] == expected
 
 
 def test_marks_state_the_share_of_clipped_readings(result: dict[str, Any]) -> None:

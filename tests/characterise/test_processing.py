@@ -102,10 +102,10 @@ def imported(values: np.ndarray, folder: Path) -> Path:
 )
 def test_a_processed_recording_is_reported_as_processed(name: str, tmp_path: Path) -> None:
     """The report of the import and the diagnosis state it, and the diagnosis names no cause."""
-    values, said = PROCESSED[name]
+    values, message = PROCESSED[name]
     with open_log(imported(values, tmp_path)) as log:
         for sensor in log.sensors.values():
-            assert any(text.startswith(said) for text in find_processing(sensor)), find_processing(sensor)
+            assert any(text.startswith(message) for text in find_processing(sensor)), find_processing(sensor)
         report = report_of(log)
         assert len([text for text in report.quirks if "program" in text]) >= 1, report.quirks
         with pytest.raises(LogError, match="every sensor was processed, so a simulated chip would differ by that: Acc"):

@@ -54,8 +54,8 @@ def test_rails_of_clipped_and_unclipped_readings(counts: np.ndarray, high: float
 
 def test_clipped_readings_without_flags_are_reported(tmp_path: Path) -> None:
     with open_log(logged(tmp_path, shaken(8192))) as log:
-        told = [text for text in findings(characterise_log(log)) if "clips at -8192 and 8192" in text]
-    assert told and all("none of them is flagged as saturated: import the log again" in text for text in told)
+        sentences = [text for text in findings(characterise_log(log)) if "clips at -8192 and 8192" in text]
+    assert sentences and all("none of them is flagged as saturated: import the log again" in text for text in sentences)
 
 
 @pytest.mark.slow

@@ -23,13 +23,13 @@ def tally(counts: np.ndarray, block: int = 10_000) -> Repeats:
 @given(st.lists(st.lists(st.integers(0, 2), max_size=150), max_size=4), st.integers(1, 160), st.integers(1, 2))
 def test_repeats_equal_those_counted_by_groupby(runs: list[list[int]], block: int, columns: int) -> None:
     """Compared with Python's groupby, for separate runs of the log; the second column is constant."""
-    found = RepeatTally()
+    outcome = RepeatTally()
     for run in runs:
         counts = np.column_stack([run, np.full(len(run), 7)])[:, :columns].astype(np.int16)
         for start in range(0, len(run), block):
-            found.update(counts[start : start + block])
-        found.end_run()
-    result = found.result()
+            outcome.update(counts[start : start + block])
+        outcome.end_run()
+    result = outcome.result()
     lengths = [len(list(group)) for run in runs for _, group in groupby(run)]
     pairs = sum(max(0, len(run) - 1) for run in runs)
     far = [run[at] == run[at - APART] for run in runs for at in range(APART, len(run))]
@@ -51,24 +51,24 @@ def test_the_update_rate_is_estimated(rate_hz: float, spread: float) -> None:
     40,000 rows: the shares are known to 0.0025, the rate to 2 Hz where a third is equal by chance; 10 Hz are five.
     """
     fresh = np.rint(np.random.default_rng(1).normal(0, spread, (100_000, 3))).astype(np.int16)
-    found = tally(fresh[(np.arange(40_000) * rate_hz / 400).astype(int)])
-    assert found.update_rate_hz(400.0) == pytest.approx(min(rate_hz, 400.0), abs=10)
+    result = tally(fresh[(np.arange(40_000) * rate_hz / 400).astype(int)])
+    assert result.update_rate_hz(400.0) == pytest.approx(min(rate_hz, 400.0), abs=10)
     if spread < 1:
-        assert 0.2 < found.chance_share < 0.6
+        assert 0.2 < result.chance_share < 0.6
     else:
-        assert found.chance_share < 1e-3
+        assert result.chance_share < 1e-3
 
 
 def test_a_repeat_needs_all_columns_equal() -> None:
     counts = np.array([[1, 2, 3], [1, 2, 4], [1, 2, 4], [1, 2, 4], [0, 2, 4]], np.int16)
-    found = tally(counts)
-    assert (found.repeat_share, found.longest, found.longest_row) == (0.5, 3, 1)
+    result = tally(counts)
+    assert (result.repeat_share, result.longest, result.longest_row) == (0.5, 3, 1)
 
 
 def test_a_stuck_chip_has_no_update_rate() -> None:
-    found = tally(np.full((500, 3), 9))
-    assert (found.repeat_share, found.longest) == (1, 500)
-    assert np.isnan(found.new_share)
+    result = tally(np.full((500, 3), 9))
+    assert (result.repeat_share, result.longest) == (1, 500)
+    assert np.isnan(result.new_share)
 
 
 @pytest.mark.parametrize("at", [0, 1, 4, 9])

@@ -48,15 +48,15 @@ def test_the_longest_phase_at_rest_is_chosen(result: dict[str, Any]) -> None:
 @pytest.mark.slow
 def test_a_gap_splits_the_run(result: dict[str, Any]) -> None:
     """Rows 500 ... 1999 and 2020 ... 5499: the Allan deviation pools both; no term spans the gap."""
-    found = sensor(result, "A")
-    assert (found["rows"], found["gaps"], found["flags"]["lost_before"]) == (4980, 1, 1)
-    assert found["largest_gap_s"] == pytest.approx(0.21)
-    assert found["rate_hz"] == pytest.approx(100.0)
-    assert found["median_interval_s"] == pytest.approx(0.01)
-    run = found["allan_run"]
+    outcome = sensor(result, "A")
+    assert (outcome["rows"], outcome["gaps"], outcome["flags"]["lost_before"]) == (4980, 1, 1)
+    assert outcome["largest_gap_s"] == pytest.approx(0.21)
+    assert outcome["rate_hz"] == pytest.approx(100.0)
+    assert outcome["median_interval_s"] == pytest.approx(0.01)
+    run = outcome["allan_run"]
     longest = {"start_s": 20.2, "end_s": 54.99, "longest_run_rows": 3480, "interval_s": 0.01}
     assert run == pytest.approx(longest | {"rows": 4980, "runs": 2, "left_out_share": 0.0})
-    assert found["axes"][0]["allan"]["terms"][0] == 1499 + 3479
+    assert outcome["axes"][0]["allan"]["terms"][0] == 1499 + 3479
 
 
 def test_figures_of_a_white_sensor_in_all_units(result: dict[str, Any]) -> None:
@@ -77,39 +77,39 @@ def test_figures_of_a_white_sensor_in_all_units(result: dict[str, Any]) -> None:
 
 def test_suspect_and_saturated_rows_are_excluded(result: dict[str, Any]) -> None:
     """The suspect row of 30000 counts would make the spread 400; the run begins after it."""
-    found = sensor(result, "E")
-    assert (found["rows"], found["rows_used"]) == (5000, 4989)
-    assert found["flags"]["suspect"] == 1
-    assert found["flags"]["saturated"] == 10
-    assert all(axis["counts"]["std"] == pytest.approx(20, rel=0.06) for axis in found["axes"])
-    assert all(axis["even_share"] == 1 for axis in found["axes"])
-    run = found["allan_run"]
+    outcome = sensor(result, "E")
+    assert (outcome["rows"], outcome["rows_used"]) == (5000, 4989)
+    assert outcome["flags"]["suspect"] == 1
+    assert outcome["flags"]["saturated"] == 10
+    assert all(axis["counts"]["std"] == pytest.approx(20, rel=0.06) for axis in outcome["axes"])
+    assert all(axis["even_share"] == 1 for axis in outcome["axes"])
+    run = outcome["allan_run"]
     assert (run["rows"], run["longest_run_rows"], run["start_s"]) == (2400 + 2599, 2599, pytest.approx(29.01))
 
 
 def test_stale_rows_are_excluded(result: dict[str, Any]) -> None:
     """Half of the rows are stale; the new readings do not correlate."""
-    found = sensor(result, "G")
-    assert found["stale_share"] == 0.5
-    assert found["rows_used"] == 2500
-    assert all(abs(axis["lag1"]) < 5 / 2500**0.5 for axis in found["axes"])
-    assert found["allan_run"]["left_out_share"] == 0
+    outcome = sensor(result, "G")
+    assert outcome["stale_share"] == 0.5
+    assert outcome["rows_used"] == 2500
+    assert all(abs(axis["lag1"]) < 5 / 2500**0.5 for axis in outcome["axes"])
+    assert outcome["allan_run"]["left_out_share"] == 0
 
 
 def test_a_named_phase_and_sensors_are_selected(log_path: Path) -> None:
     calls: list[None] = []
     with open_log(log_path) as log:
-        found = characterise_log(log, "motion", ["P", "A"], lambda: calls.append(None))
-    assert (found["stretch"]["phase"], found["stretch"]["chosen_by"]) == ("motion", "named")
-    assert [item["name"] for item in found["sensors"]] == ["P", "A"]
-    pressure = found["sensors"][0]
+        outcome = characterise_log(log, "motion", ["P", "A"], lambda: calls.append(None))
+    assert (outcome["stretch"]["phase"], outcome["stretch"]["chosen_by"]) == ("motion", "named")
+    assert [item["name"] for item in outcome["sensors"]] == ["P", "A"]
+    pressure = outcome["sensors"][0]
     assert [axis["axis"] for axis in pressure["axes"]] == ["ut", "up"]
     assert pressure["unit_per_count"] is None
     assert pressure["axes"][0]["unit"]["std"] is None
     assert pressure["axes"][0]["counts"]["std"] == pytest.approx(20, rel=0.2)
-    assert sensor(found, "A")["axes"][0]["counts"]["std"] > 1000
+    assert sensor(outcome, "A")["axes"][0]["counts"]["std"] > 1000
     assert len(calls) == 5
-    assert " ut " in render_text(found)
+    assert " ut " in render_text(outcome)
 
 
 def test_unknown_names_are_refused(log_path: Path) -> None:
@@ -172,19 +172,19 @@ def test_the_rate_of_alternating_intervals_is_their_mean(tmp_path: Path) -> None
     """19 ms and 21 ms alternating are 50 Hz, without a gap."""
     time = np.cumsum(np.tile([19_000_000, 21_000_000], 60))
     with open_log(write_log(tmp_path / "run.h5", time)) as log:
-        found = characterise_log(log)["sensors"][0]
-    assert found["rate_hz"] == pytest.approx(50, rel=0.001)
-    assert found["gaps"] == 0
-    assert found["axes"][0]["allan"]["tau_s"][:2] == pytest.approx([0.02, 0.04], rel=0.001)
+        outcome = characterise_log(log)["sensors"][0]
+    assert outcome["rate_hz"] == pytest.approx(50, rel=0.001)
+    assert outcome["gaps"] == 0
+    assert outcome["axes"][0]["allan"]["tau_s"][:2] == pytest.approx([0.02, 0.04], rel=0.001)
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2, 8, 9])
 def test_short_logs_are_characterised(tmp_path: Path, rows: int) -> None:
     with open_log(write_log(tmp_path / "run.h5", np.arange(rows) * 10)) as log:
-        found = characterise_log(log)
-    assert (found["sensors"][0]["axes"][0]["allan"] is not None) == (rows >= 9)
-    assert "S " in render_text(found)
-    json.dumps(found, allow_nan=False)
+        outcome = characterise_log(log)
+    assert (outcome["sensors"][0]["axes"][0]["allan"] is not None) == (rows >= 9)
+    assert "S " in render_text(outcome)
+    json.dumps(outcome, allow_nan=False)
 
 
 def test_the_table_fits_the_terminal_and_has_a_title(result: dict[str, Any]) -> None:
@@ -207,8 +207,8 @@ def test_the_table_warns_of_a_log_in_motion(tmp_path: Path) -> None:
 
 def test_the_scale_of_a_calibration_replaces_that_of_the_data_sheet(log_path: Path) -> None:
     with open_log(log_path) as log:
-        found = characterise_log(log, sensors=["A"], scales={"A": [5000.0, 5460.0, 6000.0]})
-    axes = sensor(found, "A")["axes"]
+        outcome = characterise_log(log, sensors=["A"], scales={"A": [5000.0, 5460.0, 6000.0]})
+    axes = sensor(outcome, "A")["axes"]
     assert [axis["unit_per_count"] for axis in axes] == [1 / 5000, 1 / 5460, 1 / 6000]
     for axis in axes:
         assert axis["unit"]["std"] == pytest.approx(axis["counts"]["std"] * axis["unit_per_count"])

@@ -30,12 +30,12 @@ def spectrum(values: np.ndarray, rate_hz: float = 1.0, rows: int = 256, **how: A
 def test_the_spectrum_equals_scipy(rows: int, count: int) -> None:
     """A walk far from 0, so that the means of the segments have an influence."""
     values = 1e4 + np.cumsum(np.random.default_rng(count).normal(size=(count, 2)), axis=0)
-    found = spectrum(values, 400.0, rows, precision="double")
+    result = spectrum(values, 400.0, rows, precision="double")
     frequency_hz, expected = welch(values, 400.0, nperseg=rows, axis=0)
-    np.testing.assert_allclose(found.frequency_hz, frequency_hz, rtol=1e-14)
-    np.testing.assert_allclose(found.density, expected, rtol=1e-10)
-    assert found.segments == (count - rows // 2) // (rows // 2)
-    assert (found.runs, found.rows, found.left_over) == (1, count, count - (found.segments + 1) * (rows // 2))
+    np.testing.assert_allclose(result.frequency_hz, frequency_hz, rtol=1e-14)
+    np.testing.assert_allclose(result.density, expected, rtol=1e-10)
+    assert result.segments == (count - rows // 2) // (rows // 2)
+    assert (result.runs, result.rows, result.left_over) == (1, count, count - (result.segments + 1) * (rows // 2))
 
 
 def test_single_precision_is_sufficient() -> None:
@@ -45,11 +45,11 @@ def test_single_precision_is_sufficient() -> None:
     values = np.random.default_rng(1).normal(size=200_000)
     for _ in range(2):
         values = lfilter([0.01], [1, -0.99], values)
-    found = spectrum(5000 + 1e3 * values, rows=1024)
+    result = spectrum(5000 + 1e3 * values, rows=1024)
     expected = welch(5000 + 1e3 * values, nperseg=1024)[1]
     assert expected[2:].min() < 1e-6 * expected.mean()
-    np.testing.assert_allclose(found.density[:, 0], expected, rtol=1e-4)
-    np.testing.assert_allclose(found.density[:40, 0], expected[:40], rtol=1e-6)
+    np.testing.assert_allclose(result.density[:, 0], expected, rtol=1e-4)
+    np.testing.assert_allclose(result.density[:40, 0], expected[:40], rtol=1e-6)
 
 
 @settings(deadline=None, max_examples=examples(40))
@@ -59,14 +59,14 @@ def test_results_do_not_depend_on_blocks(blocks: list[int], seed: int) -> None:
     estimate = Welch(100.0, 16, 3, "double")
     for part in np.split(values, np.cumsum(blocks)[:-1]):
         estimate.update(part)
-    found = estimate.result()
+    result = estimate.result()
     if len(values) < 16:
-        assert np.isnan(found.density).all()
-        assert (found.segments, found.runs, found.left_over) == (0, 0, len(values))
-        assert (found.freedom == 0).all()
+        assert np.isnan(result.density).all()
+        assert (result.segments, result.runs, result.left_over) == (0, 0, len(values))
+        assert (result.freedom == 0).all()
     else:
         np.testing.assert_allclose(
-            found.density, welch(values.astype(float), 100.0, nperseg=16, axis=0)[1], rtol=1e-9, atol=1e-9
+            result.density, welch(values.astype(float), 100.0, nperseg=16, axis=0)[1], rtol=1e-9, atol=1e-9
         )
 
 
@@ -78,20 +78,20 @@ def test_segments_do_not_span_a_gap() -> None:
     for run in (first, short, second):
         estimate.update(run)
         estimate.end_run()
-    found = estimate.result()
+    result = estimate.result()
     expected = (19 * welch(first, nperseg=100)[1] + 13 * welch(second, nperseg=100)[1]) / 32
-    np.testing.assert_allclose(found.density[:, 0], expected, rtol=1e-10)
-    assert (found.segments, found.runs, found.rows, found.left_over) == (32, 2, 1799, 99)
+    np.testing.assert_allclose(result.density[:, 0], expected, rtol=1e-10)
+    assert (result.segments, result.runs, result.rows, result.left_over) == (32, 2, 1799, 99)
 
 
 def test_power_of_a_sine_and_of_white_noise() -> None:
     """A^2 / 2 within the bins of a sine; 2 s^2 / rate of white noise, mean over bins within five standard errors."""
     time_s = np.arange(100_000) / 200
-    found = spectrum(3 * np.sin(2 * np.pi * 20.3 * time_s), 200.0, 1000)
-    assert found.density[:, 0].sum() * found.resolution_hz == pytest.approx(4.5, rel=1e-3)
-    found = spectrum(np.random.default_rng(3).normal(0, 2, 100_000), 200.0, 1000)
-    inner = found.density[2:-1, 0]
-    assert abs(inner.mean() - 0.04) < 5 * 0.04 * (2 / (found.freedom[2] * len(inner) / 2)) ** 0.5
+    result = spectrum(3 * np.sin(2 * np.pi * 20.3 * time_s), 200.0, 1000)
+    assert result.density[:, 0].sum() * result.resolution_hz == pytest.approx(4.5, rel=1e-3)
+    result = spectrum(np.random.default_rng(3).normal(0, 2, 100_000), 200.0, 1000)
+    inner = result.density[2:-1, 0]
+    assert abs(inner.mean() - 0.04) < 5 * 0.04 * (2 / (result.freedom[2] * len(inner) / 2)) ** 0.5
 
 
 def test_degrees_of_freedom_by_simulation() -> None:
@@ -102,16 +102,16 @@ def test_degrees_of_freedom_by_simulation() -> None:
         for _ in range(runs):
             estimate.update(rng.normal(size=(rows, 400)))
             estimate.end_run()
-        found = estimate.result()
-        power = found.density[3:63:3]
-        assert (2 * power.mean() ** 2 / power.var(axis=1)).mean() == pytest.approx(found.freedom[3], rel=0.08)
-    assert found.freedom[[0, 3, -1]].tolist() == [8, 16, 8]  # eight single segments
+        result = estimate.result()
+        power = result.density[3:63:3]
+        assert (2 * power.mean() ** 2 / power.var(axis=1)).mean() == pytest.approx(result.freedom[3], rel=0.08)
+    assert result.freedom[[0, 3, -1]].tolist() == [8, 16, 8]  # eight single segments
 
 
 def test_intervals_cover_the_true_density() -> None:
     """The true density 2 of 80 columns at 40 independent bins: 95 % within 3200 draws' limits of 1e-6."""
-    found = spectrum(np.random.default_rng(5).normal(size=(2048, 80)))
-    low, high = found.interval(0.95)
+    result = spectrum(np.random.default_rng(5).normal(size=(2048, 80)))
+    low, high = result.interval(0.95)
     covered = int(((low <= 2) & (high >= 2))[4:124:3].sum())
     assert binom.ppf(1e-6, 3200, 0.94) <= covered <= binom.isf(1e-6, 3200, 0.96)
 

@@ -16,7 +16,7 @@ AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z")
 
 def read(log: Log) -> dict[str, Block]:
     """All rows of every sensor."""
-    found = {}
+    result = {}
     for name, sensor in log.sensors.items():
         degrees = sensor.temperature_counts
         compensated = {
@@ -24,14 +24,14 @@ def read(log: Log) -> dict[str, Block]:
             for column in ("temperature", "pressure")
             if sensor.quantity == "pressure"
         }
-        found[name] = Block(
+        result[name] = Block(
             np.asarray(sensor.time[:]),
             np.asarray(sensor.counts[:]),
             np.asarray(sensor.status[:]),
             None if degrees is None else np.asarray(degrees[:]),
             compensated,
         )
-    return found
+    return result
 
 
 def pushed(stream: FusionStream, rows: dict[str, Block], seed: int, most_s: float) -> Iterator[FusedBlock]:

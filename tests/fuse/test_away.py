@@ -33,9 +33,9 @@ def parts() -> list[Part]:
 
 def known(calibrated_degc: float | None, **more: object) -> Calibration:
     """A calibration without errors except the noise, at a temperature."""
-    found = calibration(parts())
+    result = calibration(parts())
     values = {"bias_sem_lsb": np.zeros(3), "temperature_degc": calibrated_degc, **more}
-    return Calibration({name: replace(sensor, **values) for name, sensor in found.sensors.items()})  # type: ignore[arg-type]
+    return Calibration({name: replace(sensor, **values) for name, sensor in result.sensors.items()})  # type: ignore[arg-type]
 
 
 def claimed(run: Path, calibration: Calibration, quantity: str) -> Floats:
@@ -116,15 +116,15 @@ def test_the_command_prints_a_line_on_the_temperature(
         known(degc).save(tmp_path / "cal.toml", force=True)
         command = ["fuse", run, "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "f.h5"), "--force"]
         assert main([*command, "--technique", "mean", "--json"]) == 0
-        said = json.loads(capsys.readouterr().out)["temperature"]
-        assert len(said) == lines
-        if said:
-            assert said[0] == (
+        text = json.loads(capsys.readouterr().out)["temperature"]
+        assert len(text) == lines
+        if text:
+            assert text[0] == (
                 "calibrated at 5.0 degC, this log is at 25.0: A, G; biases are known to 10 mg and 0.44 dps only; the"
                 " covariances include this"
             )
             assert main([*command, "--technique", "mean"]) == 0
-            assert said[0] in capsys.readouterr().out
+            assert text[0] in capsys.readouterr().out
 
 
 def test_without_noise_the_line_states_unknown_covariances(write_run: WriteRun) -> None:
@@ -133,8 +133,8 @@ def test_without_noise_the_line_states_unknown_covariances(write_run: WriteRun) 
     bare = Calibration({name: replace(each, noise_lsb=None) for name, each in cold.sensors.items()})
     with open_log(write_run(parts(), truth="reference", frames=400)) as log:
         away = temperature_mismatch(log, list(log.sensors.values()), bare)
-        (said,) = mismatch_sentences(bare, away)
-        assert said.endswith("the covariances are unknown without the noise (calibrate noise)")
+        (text,) = mismatch_sentences(bare, away)
+        assert text.endswith("the covariances are unknown without the noise (calibrate noise)")
         assert np.isnan(next(iter(fuse(log, bare, "mean"))).covariances["specific_force"]).any()
 
 

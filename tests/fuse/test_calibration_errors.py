@@ -100,17 +100,17 @@ def test_the_fast_path_states_the_same_covariance(write_run: WriteRun) -> None:
     turning = lambda seconds: 30 * np.sin(np.outer(seconds, [1.0, 2.0, 3.0]))  # noqa: E731
     run = write_run(PARTS, rate=turning, frames=200)
     known = unsure(np.random.default_rng(2))
-    found = []
+    result = []
     for shown in (
         known,
         Calibration({n: replace(k, g_sensitivity_lsb_per_g=np.zeros((3, 3))) for n, k in known.sensors.items()}),
     ):
         with open_log(run) as log:
             blocks = list(fuse(log, shown, "mean"))
-            found.append(np.concatenate([block.covariances["angular_rate"] for block in blocks]))
-            assert len(joined(blocks, "angular_rate")[1]) == len(found[-1])
-    assert found[0] == pytest.approx(found[1], rel=1e-9)
-    assert np.ptp(found[0], axis=0).max() > 0.1 * found[0].max()
+            result.append(np.concatenate([block.covariances["angular_rate"] for block in blocks]))
+            assert len(joined(blocks, "angular_rate")[1]) == len(result[-1])
+    assert result[0] == pytest.approx(result[1], rel=1e-9)
+    assert np.ptp(result[0], axis=0).max() > 0.1 * result[0].max()
 
 
 NAMES = (*ACCELEROMETERS, "Gyro1", "Gyro3")
@@ -144,7 +144,7 @@ def scores_after_turns(
     turns = Tumbled(about("XZ", 16, rng), rest_s=rest_s)
     record(folder / f"turns{seed}.h5", turns, world, seed=seed, only=NAMES, **timing)  # type: ignore[arg-type]
     with open_log(folder / f"turns{seed}.h5") as log:
-        found = calibrate_tumble(log).calibration.merged(calibrate_noise(log))
+        result = calibrate_tumble(log).calibration.merged(calibrate_noise(log))
     # In this world there is no change from run to run, no drift and no thermal slope, and the calibration states so.
     none = np.zeros(3)
     nothing_else = {
@@ -152,7 +152,7 @@ def scores_after_turns(
         "turn_on": TurnOn(none, none, none, np.ones(3), runs=20),
         "thermal": Thermal(none, none, 25.0, (BIAS,) * 3, "chip"),
     }
-    steady = Calibration({name: replace(each, **nothing_else) for name, each in found.sensors.items()})  # type: ignore[arg-type]
+    steady = Calibration({name: replace(each, **nothing_else) for name, each in result.sensors.items()})  # type: ignore[arg-type]
     scores, changed = {}, changed_effects(world, rng, change)
     for axes in ("XZ", "XYZ"):
         motion = Tumbled(about(axes, 12, rng), rest_s=1.0, turn_s=5.0)

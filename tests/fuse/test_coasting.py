@@ -126,17 +126,17 @@ def test_coasting_equals_the_difference_of_two_navigators() -> None:
         return attitude, velocity
 
     true, plain = navigated(rate, force)
-    found, wrong = navigated(rate + given.rate_error, force + given.force_error)
+    result, wrong = navigated(rate + given.rate_error, force + given.force_error)
     tilt, velocity = propagate(given)
-    assert tilt == pytest.approx((found * true.inv()).as_rotvec(), rel=0.01, abs=1e-6)
+    assert tilt == pytest.approx((result * true.inv()).as_rotvec(), rel=0.01, abs=1e-6)
     assert velocity == pytest.approx(wrong - plain, rel=0.01, abs=1e-5)
 
 
 def test_a_coast_begins_after_a_rest() -> None:
     """It turns for the first five seconds: the coast begins ten seconds after that. In 200 s there is room for two."""
     rate = np.where(times(200)[:, None] < 5, [0, 0, 0.1], 0.0)
-    found = coasting(errors(seconds=200, rate=rate))
-    assert found.begins_s == pytest.approx([15, 85], abs=0.05)
+    result = coasting(errors(seconds=200, rate=rate))
+    assert result.begins_s == pytest.approx([15, 85], abs=0.05)
     assert len(coasting(errors(seconds=60)).begins_s) == 0
     assert np.isnan(coasting(errors(seconds=60)).heading_rms_deg)
 
@@ -151,6 +151,6 @@ def test_results_do_not_depend_on_blocks(cut: int) -> None:
     whole.time[170 * RATE_HZ :] += 700_000_000
     wanted = coasting(whole)
     assert len(wanted.begins_s) > 1
-    found = coasting(whole[first : first + cut] for first in range(0, len(whole.time), cut))
+    result = coasting(whole[first : first + cut] for first in range(0, len(whole.time), cut))
     for name in ("heading_deg", "velocity_mps", "begins_s"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+        np.testing.assert_array_equal(getattr(result, name), getattr(wanted, name))

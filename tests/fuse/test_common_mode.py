@@ -96,8 +96,8 @@ def steady(errors: Floats, ways: tuple[tuple[str, str], ...] = GYROS) -> tuple[F
 def cost(ways: tuple[tuple[str, str], ...], draws: int, seed: int) -> float:
     """Rms of the opposed result over that of the average for independent errors of units, minus one."""
     rng = np.random.default_rng(seed)
-    found = np.array([steady(rng.normal(size=(len(ways), 3)), ways) for _ in range(draws)])
-    return float(np.sqrt((found[:, 1] ** 2).sum() / (found[:, 0] ** 2).sum())) - 1
+    result = np.array([steady(rng.normal(size=(len(ways), 3)), ways) for _ in range(draws)])
+    return float(np.sqrt((result[:, 1] ** 2).sum() / (result[:, 0] ** 2).sum())) - 1
 
 
 @pytest.mark.slow
@@ -203,11 +203,11 @@ def test_the_smoother_is_a_mean_at_first_and_exponential_after() -> None:
     """10 rows to the time constant: a running mean of ten rows, then x' = x + (new - x) / 10, by hand."""
     rng = np.random.default_rng(1)
     rows = rng.normal(size=(40, 2))
-    found = Smoother(0.1, 2)(np.arange(40, dtype=np.int64) * 10_000_000, rows)
+    result = Smoother(0.1, 2)(np.arange(40, dtype=np.int64) * 10_000_000, rows)
     state = np.zeros(2)
     for index, row in enumerate(rows):
         state = rows[: index + 1].mean(axis=0) if index < 10 else state + (row - state) / 10
-        assert found[index] == pytest.approx(state)
+        assert result[index] == pytest.approx(state)
 
 
 @pytest.mark.parametrize("cuts", [(1,), (7,), (10,), (11, 12, 30), range(1, 60)])

@@ -80,17 +80,17 @@ def test_optimal_gives_the_average_of_the_same_frames(run: Path) -> None:
 
 @pytest.mark.slow
 def test_another_process_computes_the_same_figures(run: Path) -> None:
-    shares, told = list[float](), list[float]()
+    shares, other_shares = list[float](), list[float]()
     with open_log(run) as log, processes(1) as executor:
         alone = compare(log, calibration(parts()), ("optimal",), progress=shares.append)
-        beside = compare(log, calibration(parts()), ("optimal",), progress=told.append, executor=executor)
-    for score, other in zip(alone.scores, beside.scores, strict=True):
+        parallel = compare(log, calibration(parts()), ("optimal",), progress=other_shares.append, executor=executor)
+    for score, other in zip(alone.scores, parallel.scores, strict=True):
         assert (score.technique, score.quantity, score.ratio) == (other.technique, other.quantity, other.ratio)
         assert score.consistency == other.consistency
         assert score.error.rms.tolist() == other.error.rms.tolist()
-    heading, its = (comparison.coasting["optimal"].heading_deg for comparison in (alone, beside))
+    heading, its = (comparison.coasting["optimal"].heading_deg for comparison in (alone, parallel))
     np.testing.assert_array_equal(heading, its)
-    for heard in (shares, told):
+    for heard in (shares, other_shares):
         assert heard == sorted(heard) and heard[-1] <= 1.0
     assert shares[-1] == pytest.approx(1.0)
 
@@ -101,14 +101,14 @@ def test_scores_do_not_depend_on_blocks(run: Path, block: int, monkeypatch: pyte
         wanted = compare(log, calibration(parts()), ("ranges",))
         monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
         monkeypatch.setattr("imuarray.fuse.comparison.AT_ONCE", block)
-        found = compare(log, calibration(parts()), ("ranges",))
-    for score, other in zip(found.scores, wanted.scores, strict=True):
+        result = compare(log, calibration(parts()), ("ranges",))
+    for score, other in zip(result.scores, wanted.scores, strict=True):
         for axis, ratio in score.ratio.items():
             assert astuple(ratio) == pytest.approx(astuple(other.ratio[axis]), rel=1e-12)
         np.testing.assert_allclose(score.error.rms, other.error.rms, rtol=1e-12)
         assert score.consistency is not None and other.consistency is not None
         assert astuple(score.consistency) == pytest.approx(astuple(other.consistency), rel=1e-12)
-    assert found.coasting["ranges"].heading_deg.tolist() == wanted.coasting["ranges"].heading_deg.tolist()
+    assert result.coasting["ranges"].heading_deg.tolist() == wanted.coasting["ranges"].heading_deg.tolist()
 
 
 def test_frames_at_common_times_are_compared() -> None:
@@ -136,8 +136,8 @@ def test_the_interval_covers_a_ratio() -> None:
         squares = [
             np.array([np.sum(part**2) for part in np.split(rows, 20)]) for rows in (shared + one, shared + other)
         ]
-        found = ratio_of(squares[0], 0.25 * squares[1])
-        held += found.low <= 0.5 <= found.high
+        result = ratio_of(squares[0], 0.25 * squares[1])
+        held += result.low <= 0.5 <= result.high
     assert held / 400 == pytest.approx(0.95, abs=0.045)
 
 
@@ -197,9 +197,9 @@ def test_techniques_together_equal_each_alone(run: Path) -> None:
         together = list(fuse_together(log, known, names))
         for name in names:
             own = FusedBlock.joined(list(fuse(log, known, name)))
-            found = FusedBlock.joined([blocks[name] for blocks in together])
-            assert (found.time == own.time).all()
+            result = FusedBlock.joined([blocks[name] for blocks in together])
+            assert (result.time == own.time).all()
             for quantity, triad in own.triads.items():
-                np.testing.assert_allclose(found.triads[quantity], triad, rtol=1e-12, atol=1e-12)
-                np.testing.assert_allclose(found.covariances[quantity], own.covariances[quantity], rtol=1e-12)
-                assert (found.used[quantity] == own.used[quantity]).all()
+                np.testing.assert_allclose(result.triads[quantity], triad, rtol=1e-12, atol=1e-12)
+                np.testing.assert_allclose(result.covariances[quantity], own.covariances[quantity], rtol=1e-12)
+                assert (result.used[quantity] == own.used[quantity]).all()

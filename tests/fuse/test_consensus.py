@@ -54,9 +54,9 @@ def test_the_consensus_is_continuous_at_the_limit() -> None:
 def test_frames_without_enough_axes_are_nan() -> None:
     valid = np.ones((2, len(ROWS)), bool)
     valid[1, 2:] = False
-    found = consensus(np.full(valid.shape, 100.0), valid, ROWS, FORCE)
-    assert np.isfinite(found[0]).all()
-    assert np.isnan(found[1]).all()
+    result = consensus(np.full(valid.shape, 100.0), valid, ROWS, FORCE)
+    assert np.isfinite(result[0]).all()
+    assert np.isnan(result[1]).all()
 
 
 def test_a_sensor_in_another_range_does_not_move_the_others_in_time(write_run: WriteRun) -> None:

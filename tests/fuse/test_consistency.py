@@ -22,9 +22,9 @@ def judged(unit: Floats, claimed: float = 1.0) -> Consistency:
     """Consistency of errors with covariance `COVARIANCE` if `unit` (n, 3) has unit variance, where `claimed` times that
     is stated.
     """
-    found = consistency(unit @ ROOT.T, np.tile(entries(claimed * COVARIANCE), (len(unit), 1)))
-    assert found is not None
-    return found
+    result = consistency(unit @ ROOT.T, np.tile(entries(claimed * COVARIANCE), (len(unit), 1)))
+    assert result is not None
+    return result
 
 
 def white(rng: np.random.Generator) -> Floats:
@@ -55,23 +55,23 @@ def test_right_covariances_are_inside_the_interval(kind: Callable[[np.random.Gen
 
 def test_a_constant_error_has_one_to_three_degrees_of_freedom() -> None:
     """One draw: chi-square of one to three degrees of freedom, for any length."""
-    found = judged(constant(np.random.default_rng(1)))
-    assert 1 <= found.freedom <= 3.1
-    assert found.high > 3
+    result = judged(constant(np.random.default_rng(1)))
+    assert 1 <= result.freedom <= 3.1
+    assert result.high > 3
 
 
 def test_white_errors_have_a_degree_of_freedom_each() -> None:
-    found = judged(white(np.random.default_rng(2)))
-    assert found.freedom == pytest.approx(3 * ROWS, rel=0.15)
-    assert found.high - 1 == pytest.approx(1.96 * np.sqrt(2 / (3 * ROWS)), rel=0.1)
+    result = judged(white(np.random.default_rng(2)))
+    assert result.freedom == pytest.approx(3 * ROWS, rel=0.15)
+    assert result.high - 1 == pytest.approx(1.96 * np.sqrt(2 / (3 * ROWS)), rel=0.1)
 
 
 @pytest.mark.parametrize(("claimed", "normalised"), [(0.8, 1.25), (1.25, 0.8)])
 def test_wrong_covariances_are_outside_the_interval(claimed: float, normalised: float) -> None:
     """An error of a fifth: 12 standard deviations of 6000 squares."""
-    found = judged(white(np.random.default_rng(3)), claimed)
-    assert found.normalised == pytest.approx(normalised, rel=0.08)
-    assert not found.holds
+    result = judged(white(np.random.default_rng(3)), claimed)
+    assert result.normalised == pytest.approx(normalised, rel=0.08)
+    assert not result.holds
 
 
 def test_an_unstated_bias_is_outside_the_interval() -> None:
@@ -95,9 +95,9 @@ def test_every_covariance_whitens_its_own_error() -> None:
     none = np.array(
         [[-1.0, -1.0, 1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0, 0.0, 0.0], [np.nan, 1.0, 1.0, 0.0, 0.0, 0.0]]
     )
-    found = consistency(np.concatenate([errors, np.ones((3, 3))]), np.concatenate([entries(covariances), none]))
-    assert found is not None
-    assert found.normalised == pytest.approx(wanted, rel=1e-12)
+    result = consistency(np.concatenate([errors, np.ones((3, 3))]), np.concatenate([entries(covariances), none]))
+    assert result is not None
+    assert result.normalised == pytest.approx(wanted, rel=1e-12)
 
 
 @pytest.mark.parametrize(("segment", "block"), [(1 << 17, 1 << 15), (401, 100), (64, 399), (37, 1)])
@@ -112,6 +112,6 @@ def test_the_freedom_is_that_of_all_lags_for_any_blocks(
     rows = len(unit)
     squares = np.array([np.sum((unit[:-k].T @ unit[k:] / (rows - k)) ** 2) - 9 / (rows - k) for k in range(1, 201)])
     lagged = sum((1 - k / rows) * squares[k - 1] for k in range(1, 201)) + rows / 8 * squares[100:].mean()
-    found = consistency(unit, np.tile([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], (rows, 1)))
-    assert found is not None
-    assert found.freedom == pytest.approx(9 * rows / (3 + 2 * lagged), rel=1e-12)
+    result = consistency(unit, np.tile([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], (rows, 1)))
+    assert result is not None
+    assert result.freedom == pytest.approx(9 * rows / (3 + 2 * lagged), rel=1e-12)

@@ -25,12 +25,12 @@ def test_results_with_the_same_frames_share_them_until_they_differ() -> None:
             second.add(block[np.array(kept)] if number == 1 else block, first, block)
             assert (second.motion is first.motion) == (number == 0)
         for spool, numbers in ((first, range(12)), (second, [*range(5), 5, 7, 8, *range(9, 12)])):
-            found, times = spool[:], np.array(numbers) * 1_000
+            result, times = spool[:], np.array(numbers) * 1_000
             assert len(spool) == len(times)
             np.testing.assert_array_equal(spool.times(slice(None)), times)
-            np.testing.assert_array_equal(found.time, times)
-            np.testing.assert_array_equal(found.truth[:, 1], np.array(numbers) + 0.25)
-            np.testing.assert_array_equal(found.errors[:, 2], 2 * (np.array(numbers) + 0.5))
+            np.testing.assert_array_equal(result.time, times)
+            np.testing.assert_array_equal(result.truth[:, 1], np.array(numbers) + 0.25)
+            np.testing.assert_array_equal(result.errors[:, 2], 2 * (np.array(numbers) + 0.5))
             np.testing.assert_allclose(spool.white[:][:, 0], 4 * np.array(numbers), rtol=1e-14)
 
 

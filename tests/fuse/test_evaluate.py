@@ -43,14 +43,14 @@ def test_figures_of_a_ramp_of_errors(write_run: WriteRun, truth: str) -> None:
     """From 0 to 1: mean 1/2, rms 1/sqrt(3), no scatter between neighbours, means of sixteenths 15/16 apart."""
     ramp = np.outer(np.arange(ROWS) / ROWS, [1.0, -2.0, 0.0])
     with open_log(log_of(write_run, truth)) as log:
-        found = evaluate(log, results(ramp))
-    force = found["specific_force"]
+        result = evaluate(log, results(ramp))
+    force = result["specific_force"]
     assert force.mean == pytest.approx([0.5, -1.0, 0.0], abs=1e-3)
     assert force.rms == pytest.approx([1 / np.sqrt(3), 2 / np.sqrt(3), 0.0], abs=2e-3)
     assert force.noise == pytest.approx([0.0] * 3, abs=1e-9)
     assert force.drift == pytest.approx([15 / 16, 30 / 16, 0.0], abs=1e-9)
     assert force.frames == ROWS
-    assert found["angular_rate"].rms == pytest.approx([0.0] * 3, abs=1e-12)
+    assert result["angular_rate"].rms == pytest.approx([0.0] * 3, abs=1e-12)
 
 
 def test_figures_of_white_errors(write_run: WriteRun) -> None:
@@ -79,9 +79,9 @@ def test_nan_frames_are_excluded(write_run: WriteRun) -> None:
     error = np.zeros((ROWS, 3))
     error[100:200, 1] = np.nan
     with open_log(log_of(write_run)) as log:
-        found = evaluate(log, results(error))
-    assert found["specific_force"].frames == ROWS - 100
-    assert found["angular_rate"].frames == ROWS
+        result = evaluate(log, results(error))
+    assert result["specific_force"].frames == ROWS - 100
+    assert result["angular_rate"].frames == ROWS
 
 
 def test_a_spline_interpolates_the_truth(write_run: WriteRun) -> None:
@@ -168,9 +168,9 @@ def test_figures_of_errors_on_the_disk_equal_those_in_memory(
     monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
     error = np.random.default_rng(2).normal(0.5, 0.1, (rows, 3)) + np.linspace(0, 1, rows)[:, None]
     with open_log(log_of(write_run)) as log:
-        found = evaluate(log, results(error, cut=rows // 2))["specific_force"]
+        result = evaluate(log, results(error, cut=rows // 2))["specific_force"]
         errors = errors_of(log, results(error, cut=rows // 2))["specific_force"][1]
-    assert found.frames == rows
+    assert result.frames == rows
     slow = [part.mean(axis=0) for part in np.array_split(errors, min(16, rows))]
     wanted = {
         "mean": errors.mean(axis=0),
@@ -179,4 +179,4 @@ def test_figures_of_errors_on_the_disk_equal_those_in_memory(
         "drift": np.ptp(slow, axis=0),
     }
     for name, values in wanted.items():
-        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-12, atol=1e-15, err_msg=name)
+        np.testing.assert_allclose(getattr(result, name), values, rtol=1e-12, atol=1e-15, err_msg=name)

@@ -141,12 +141,12 @@ def spoiled(scene: Scene, sensor: str, fault: str, folder: Path) -> Path:
 def fused(
     path: Path, calibration: Calibration, technique: Technique, only: Sequence[str] = (), on: bool = True
 ) -> tuple[list[FusedBlock], list[FaultEvent]]:
-    found: list[FaultEvent] = []
+    result: list[FaultEvent] = []
     with open_log(path) as log:
         blocks = fuse(
-            log, calibration, technique.name, causal=technique.causal, only=only, watch=Watch(on, RANGES, found.append)
+            log, calibration, technique.name, causal=technique.causal, only=only, watch=Watch(on, RANGES, result.append)
         )
-        return list(blocks), found
+        return list(blocks), result
 
 
 def errors(path: Path, blocks: Sequence[FusedBlock], quantity: str, since_s: float) -> Floats:
@@ -179,11 +179,11 @@ def check(scene: Scene, technique: Technique, sensor: str, fault: str, folder: P
     """
     path = spoiled(scene, sensor, fault, folder)
     blocks, events = fused(path, written(scene)[1], technique)
-    told = [event for event in events if event.state in ("isolated", "not isolated")]
-    assert {event.sensor for event in told} == {sensor}
-    assert {event.state for event in told} == {"isolated"}
-    assert 0 <= told[0].time_ns * 1e-9 - scene.onset_s + 0.2 < 1.2  # the window before it may hold the onset
-    assert told[0].kind == FAULTS[fault][1]
+    verdicts = [event for event in events if event.state in ("isolated", "not isolated")]
+    assert {event.sensor for event in verdicts} == {sensor}
+    assert {event.state for event in verdicts} == {"isolated"}
+    assert 0 <= verdicts[0].time_ns * 1e-9 - scene.onset_s + 0.2 < 1.2  # the window before it may hold the onset
+    assert verdicts[0].kind == FAULTS[fault][1]
     quantity = quantity_of(sensor)
     place = sorted(ACCELEROMETERS if sensor in ACCELEROMETERS else GYROSCOPES).index(sensor)
     time = np.concatenate([block.time for block in blocks])
@@ -316,15 +316,17 @@ def test_fusion_degrades_to_the_remaining_sensors_and_reports_it(technique: Tech
 def test_live_fusion_equals_fusion_of_the_log(tmp_path: Path) -> None:
     """Rows cut at random, with one sensor that fails: the same result, and the same events."""
     path, calibration = spoiled(AT_REST, "BMA3", "biased", tmp_path), written(AT_REST)[1]
-    found: list[FaultEvent] = []
+    result: list[FaultEvent] = []
     with open_log(path) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
-        stream = live(headers, calibration, "optimal", watch=Watch(True, RANGES, found.append), patience=Patience(10.0))
+        stream = live(
+            headers, calibration, "optimal", watch=Watch(True, RANGES, result.append), patience=Patience(10.0)
+        )
         one = list(pushed(stream, read(log), 7, 1.5))
     other, events = fused(path, calibration, CAUSAL)
     same(one, other)
-    assert [event.sensor for event in found if event.state == "isolated"] == ["BMA3"]
-    assert [event.sentence for event in found] == [event.sentence for event in events]
+    assert [event.sensor for event in result if event.state == "isolated"] == ["BMA3"]
+    assert [event.sentence for event in result] == [event.sentence for event in events]
 
 
 @pytest.mark.slow
@@ -337,6 +339,6 @@ def test_sensors_that_get_stuck_in_turn_are_isolated_except_the_last(tmp_path: P
             group["counts"][since:] = np.broadcast_to(group["counts"][since], group["counts"][since:].shape)
 
     blocks, events = fused(edited(tmp_path, stuck), written(AT_REST)[1], MEAN)
-    told = [(event.sensor, event.state) for event in events]
-    assert told == [("Gyro1", "isolated"), ("Gyro2", "isolated"), ("Gyro2", "no redundancy")]
+    states = [(event.sensor, event.state) for event in events]
+    assert states == [("Gyro1", "isolated"), ("Gyro2", "isolated"), ("Gyro2", "no redundancy")]
     assert np.isfinite(np.concatenate([block.triads["angular_rate"] for block in blocks])).all()

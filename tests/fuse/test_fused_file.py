@@ -56,7 +56,7 @@ def group_at(name: str) -> Callable[[h5py.File], None]:
     return change
 
 
-def said(**attributes: Any) -> Callable[[h5py.File], None]:
+def with_attributes(**attributes: Any) -> Callable[[h5py.File], None]:
     return lambda file: file.attrs.update(attributes)
 
 
@@ -80,9 +80,9 @@ BAD: dict[str, tuple[Callable[[h5py.File], Any], str]] = {
     "fractions of an axis": (other(USED, np.zeros((FRAMES, 2))), "type uint8"),
     "use of nobody": (other(USED, np.zeros(FRAMES, np.uint8)), "at most 1024"),
     "use of a crowd": (other(USED, np.zeros((FRAMES, 3000), np.uint8)), "at most 1024"),
-    "a later format": (said(format_version=2), "format_version is 2; this software reads 1"),
+    "a later format": (with_attributes(format_version=2), "format_version is 2; this software reads 1"),
     "no version": (lambda file: file.attrs.pop("format_version"), "format_version is None"),
-    "several versions": (said(format_version=[1, 1]), "damaged or malformed"),
+    "several versions": (with_attributes(format_version=[1, 1]), "damaged or malformed"),
 }
 
 
@@ -187,11 +187,11 @@ EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9
 def test_unfinished_events_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "f.h5"
     write_fused(path, [block()], epoch=EPOCH, technique="mean", log="run.h5", events=[EVENT])
-    (told,) = read_fused_events(path)
+    (event,) = read_fused_events(path)
     with h5py.File(path, "a") as file:
         file["events/time"].resize(2, axis=0)
         file["events/sensor"].resize(2, axis=0)
-    assert read_fused_events(path) == (told,)
+    assert read_fused_events(path) == (event,)
 
 
 @pytest.mark.parametrize(

@@ -38,12 +38,12 @@ def drifts(path: Path) -> dict[str, Floats]:
     five minutes.
     """
     ways = {"mean": ("mean", ()), "opposed": ("opposed", ()), **{name: ("mean", (name,)) for name in GYROS}}
-    found = {}
+    result = {}
     with open_log(path) as log:
         for name, (technique, only) in ways.items():
             time, error = errors_of(log, fuse(log, Calibration(), technique, only=only))["angular_rate"]
-            found[name] = np.abs(np.degrees(error[_hot(log, time)].mean(axis=0) - error[time < 300e9].mean(axis=0)))
-    return found
+            result[name] = np.abs(np.degrees(error[_hot(log, time)].mean(axis=0) - error[time < 300e9].mean(axis=0)))
+    return result
 
 
 def _hot(log: Log, time: np.ndarray) -> np.ndarray:
@@ -56,19 +56,19 @@ def _hot(log: Log, time: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 def test_a_heated_array_keeps_a_tenth_of_the_drift_where_slopes_agree(tmp_path: Path) -> None:
     """Table 8: the y axes' slopes are 0.0186, 0.0183 and 0.0187 dps/degC, the average of 1 + 2 keeps 0.0061 of it."""
-    found = drifts(heated(tmp_path, 4, rate_hz=10.0))
-    assert found["mean"][1] == pytest.approx(0.0061 * 27.5, rel=0.15)
-    assert found["opposed"][1] < found["mean"][1] / 10
-    assert all(found["opposed"][1] < found[name][1] / 30 for name in GYROS)
-    assert (found["opposed"][[0, 2]] <= 1.001 * found["mean"][[0, 2]]).all()
+    result = drifts(heated(tmp_path, 4, rate_hz=10.0))
+    assert result["mean"][1] == pytest.approx(0.0061 * 27.5, rel=0.15)
+    assert result["opposed"][1] < result["mean"][1] / 10
+    assert all(result["opposed"][1] < result[name][1] / 30 for name in GYROS)
+    assert (result["opposed"][[0, 2]] <= 1.001 * result["mean"][[0, 2]]).all()
 
 
 @pytest.mark.parametrize("seeds", some([3, 10], 0, 1))
 def test_drift_over_seeds_is_a_tenth_where_slopes_agree_and_at_most_the_average(tmp_path: Path, seeds: int) -> None:
     """Several seeds (noise, in-run wander and turn-on of the paper's figures)."""
-    found = [drifts(heated(tmp_path, seed, rate_hz=15.0)) for seed in range(seeds)]
-    ratio = np.array([drift["opposed"] / drift["mean"] for drift in found])
-    singles = np.array([[drift["opposed"][1] / drift[name][1] for name in GYROS] for drift in found])
+    result = [drifts(heated(tmp_path, seed, rate_hz=15.0)) for seed in range(seeds)]
+    ratio = np.array([drift["opposed"] / drift["mean"] for drift in result])
+    singles = np.array([[drift["opposed"][1] / drift[name][1] for name in GYROS] for drift in result])
     assert ratio[:, 1].max() < 0.1
     assert singles.max() < 0.035
     assert np.sqrt(np.mean(ratio[:, 1] ** 2)) < 0.05
@@ -81,8 +81,8 @@ def test_drift_of_drawn_units_increases_by_at_most_a_percent(tmp_path: Path) -> 
 
     The ratio of rms drifts scatters by 0.03; it is smaller where units agree by chance.
     """
-    found = [drifts(heated(tmp_path, seed, "--population", rate_hz=4.0)) for seed in range(30)]
-    mean, opposed = (np.array([drift[name] for drift in found]) for name in ("mean", "opposed"))
+    result = [drifts(heated(tmp_path, seed, "--population", rate_hz=4.0)) for seed in range(30)]
+    mean, opposed = (np.array([drift[name] for drift in result]) for name in ("mean", "opposed"))
     assert np.sqrt((opposed**2).sum() / (mean**2).sum()) < 1.01
 
 
@@ -132,17 +132,17 @@ def test_pairs_report_their_cancellation(write_run: WriteRun) -> None:
 
 def test_a_pair_that_may_cancel_fully_has_no_upper_limit(write_run: WriteRun) -> None:
     with open_log(write_run(OPPOSED, frames=200, rate_hz=20.0)) as log:
-        found = pairs_of(log, calibrated(sem=0.01, meaning=(BIAS, BIAS_OR_SCALE, BIAS)), [])
+        result = pairs_of(log, calibrated(sem=0.01, meaning=(BIAS, BIAS_OR_SCALE, BIAS)), [])
         unknown = pairs_of(log, calibration(OPPOSED), ["G1", "G2"])
         alone = pairs_of(log, calibrated(), ["G1"])
-    assert found[0]["drift"]["most"] is None and found[0]["drift"]["least"] > 10
-    assert found[0]["drift"]["left"] == found[0]["drift"]["remaining"] == pytest.approx(np.radians(0.0002))
-    json.dumps(found, allow_nan=False)
-    heading, _, said, *others, key, taken = pair_lines(found, follows_temperature=False)
+    assert result[0]["drift"]["most"] is None and result[0]["drift"]["least"] > 10
+    assert result[0]["drift"]["left"] == result[0]["drift"]["remaining"] == pytest.approx(np.radians(0.0002))
+    json.dumps(result, allow_nan=False)
+    heading, _, text, *others, key, taken = pair_lines(result, follows_temperature=False)
     assert "drift with 1 degC" in heading and "that of scale" in key and "removes known biases;" in taken
-    assert said.startswith("G1 y and G2 y          along Y   in dps       0.0263 ") and ">" in said and "*" in said
-    assert len(others) == len(found) - 1
-    assert "biases and slopes" in list(pair_lines(found, follows_temperature=True))[-1]
+    assert text.startswith("G1 y and G2 y          along Y   in dps       0.0263 ") and ">" in text and "*" in text
+    assert len(others) == len(result) - 1
+    assert "biases and slopes" in list(pair_lines(result, follows_temperature=True))[-1]
     assert [pair["drift"] for pair in unknown] == [None, None]
     assert list(pair_lines(unknown, follows_temperature=False)) == [
         "2 opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"

@@ -30,8 +30,8 @@ def test_planes_weigh_by_inverse_variance() -> None:
 
 def test_planes_prefer_out_of_plane_axes_of_lower_noise() -> None:
     axes = [*triad("A", "+X+Y+Z", (3.0, 3.0, 1.0)), *triad("B", "+Y+Z+X", (3.0, 3.0, 1.0))]
-    found = weights(TECHNIQUES["planes"](axes), 6)
-    assert found[0, [0, 5]] == pytest.approx([0.1, 0.9])
+    result = weights(TECHNIQUES["planes"](axes), 6)
+    assert result[0, [0, 5]] == pytest.approx([0.1, 0.9])
 
 
 def test_planes_weigh_by_the_plane_and_not_by_the_sensor() -> None:
@@ -41,9 +41,9 @@ def test_planes_weigh_by_the_plane_and_not_by_the_sensor() -> None:
         *triad("B", "+X+Y+Z", (10.0, 10.0, 20.0)),
         *triad("C", "+X+Y+Z", (5.0, 5.0, 5.0), chip="d"),
     ]
-    found = weights(TECHNIQUES["planes"](axes), 9)
-    assert found[0, [0, 3, 6]] == pytest.approx([1 / 3, 1 / 3, 1 / 3])
-    assert found[2, [2, 5, 8]] == pytest.approx([1 / 6, 1 / 6, 4 / 6])
+    result = weights(TECHNIQUES["planes"](axes), 9)
+    assert result[0, [0, 3, 6]] == pytest.approx([1 / 3, 1 / 3, 1 / 3])
+    assert result[2, [2, 5, 8]] == pytest.approx([1 / 6, 1 / 6, 4 / 6])
 
 
 IN_PLANE_LSB, OUT_OF_PLANE_LSB = 6.0, 12.0
@@ -117,14 +117,14 @@ def test_simulated_perpendicular_boards_have_no_axis_noisier_than_in_plane(tmp_p
                 for name, way in (("FLAT", "+X+Y+Z"), ("UPRIGHT", "+Z+Y-X"))
             }
         )
-        found = {name: joined(list(fuse(log, known, name)))[1] / G * 256 for name in ("planes", "mean")}
-        said = changes("planes", axes_of(list(log.of("specific_force")), known))
+        result = {name: joined(list(fuse(log, known, name)))[1] / G * 256 for name in ("planes", "mean")}
+        text = changes("planes", axes_of(list(log.of("specific_force")), known))
     both, pair = (1 / 36 + 1 / 144) ** -0.5, 6 / np.sqrt(2)
-    assert len(found["planes"]) == 20000
-    assert found["planes"].std(axis=0) == pytest.approx([both, pair, both], rel=4 / np.sqrt(40000) + 0.003)
-    assert (found["planes"].std(axis=0) < IN_PLANE_LSB).all()
-    assert (found["mean"].std(axis=0)[[0, 2]] > IN_PLANE_LSB).all()
-    assert said == ["adxl345 (z weighs 0.25 of full, by noise)"]
+    assert len(result["planes"]) == 20000
+    assert result["planes"].std(axis=0) == pytest.approx([both, pair, both], rel=4 / np.sqrt(40000) + 0.003)
+    assert (result["planes"].std(axis=0) < IN_PLANE_LSB).all()
+    assert (result["mean"].std(axis=0)[[0, 2]] > IN_PLANE_LSB).all()
+    assert text == ["adxl345 (z weighs 0.25 of full, by noise)"]
 
 
 def measured(part: Part, noise_lsb: Floats, turn_on_lsb: Floats | None = None) -> SensorCalibration:
@@ -152,8 +152,8 @@ def with_stability(axes: list[Axis], *stability: float | None) -> list[Axis]:
 def test_slow_errors_are_weighted_like_the_mean_of_a_hundred_readings() -> None:
     """``1/100 + 0.3^2 = 0.1`` and ``1/100 + 0.7^2 = 0.5``, though all three have the same noise: 5 to 1."""
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 1.0))]
-    found = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, 0.7)), 6)
-    assert found[0, [0, 5]] == pytest.approx([5 / 6, 1 / 6])
+    result = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, 0.7)), 6)
+    assert result[0, [0, 5]] == pytest.approx([5 / 6, 1 / 6])
     assert changes("planes", with_stability(axes, 0.3, 0.3, 0.7)) == [
         "c (z weighs 0.2 of full, by noise and stability)"
     ]
@@ -164,8 +164,8 @@ def test_slow_errors_are_weighted_like_the_mean_of_a_hundred_readings() -> None:
 
 def test_a_stability_unknown_for_some_axis_is_ignored() -> None:
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 2.0))]
-    found = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, None)), 6)
-    assert found[0, [0, 5]] == pytest.approx([0.8, 0.2])
+    result = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, None)), 6)
+    assert result[0, [0, 5]] == pytest.approx([0.8, 0.2])
 
 
 @pytest.mark.parametrize("ratio", [1.2, 1.8, 2.0, 4.0])

@@ -36,9 +36,9 @@ def test_noise_of_ranges_is_that_predicted_by_table_10(write_run: WriteRun) -> N
     assert pytest.approx(8.32e-3, abs=5e-6) == BLEND_G
     parts = low_and_high()
     with open_log(write_run(parts, force=nothing, frames=20000)) as log:
-        found = {name: joined(list(fuse(log, calibration(parts), name)))[1] / G * 1e3 for name in ("ranges", "mean")}
+        result = {name: joined(list(fuse(log, calibration(parts), name)))[1] / G * 1e3 for name in ("ranges", "mean")}
     for name, expected in (("ranges", 8.32), ("mean", 9.77)):
-        assert found[name].std() == pytest.approx(expected, rel=4 / np.sqrt(2 * 60000))
+        assert result[name].std() == pytest.approx(expected, rel=4 / np.sqrt(2 * 60000))
 
 
 def test_ranges_weigh_by_inverse_variance_within_a_design() -> None:
@@ -61,8 +61,8 @@ def test_ranges_of_different_chips_are_blended() -> None:
         *triad("HIGH", "+X+Y+Z", (3.0, 3.0, 3.0), chip="d", span=100.0),
         *triad("TOO", "+X+Y+Z", (3.0, 3.0, 3.0), chip="e", span=100.0),
     ]
-    found = weights(TECHNIQUES["ranges"](axes), 9)[1, [1, 4, 7]]
-    assert found == pytest.approx(np.array([9, 1, 1]) / 11)
+    result = weights(TECHNIQUES["ranges"](axes), 9)[1, [1, 4, 7]]
+    assert result == pytest.approx(np.array([9, 1, 1]) / 11)
     assert changes("ranges", axes) == ["LOW"]
     one = [
         *triad("A", "+X+Y+Z", (1.0,) * 3, chip="c", span=2000.0),
@@ -99,8 +99,8 @@ def test_the_noise_of_the_calibration_needs_no_rest(
     run = str(write_run(parts, force=motion))
     fused = ["fuse", run, "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "f.h5"), "--technique"]
     assert main([*fused, "ranges", "--only", "LOW,HIGH"]) == 0
-    said = capsys.readouterr()
-    assert "no noise" not in said.err and "ranges relies on wider ranges near the end of the range of LOW\n" in said.out
+    text = capsys.readouterr()
+    assert "no noise" not in text.err and "ranges relies on wider ranges near the end of the range of LOW\n" in text.out
     assert main([*fused, "opposed", "--only", "LOW,HIGH", "--force"]) == 0
     assert "opposed changes nothing on this array: the axes of a design that point both ways" in capsys.readouterr().out
     assert main([*fused, "ranges", "--only", "HIGH", "--force"]) == 0
@@ -285,15 +285,15 @@ def test_the_covariance_includes_the_uncertainty_of_the_corrections() -> None:
     error over it is 1 in the mean of differences as large as the prior (12 of them: 0.4 to 2).
     """
     rng = np.random.default_rng(6)
-    found = []
+    result = []
     for seed, (bias_g, scale, delay_s) in enumerate(rng.normal(0, 1, (12, 3)) * [0.075, 0.01, 1.5e-3]):
         case = sensed(still_until_10, 13, seed, bias_g=bias_g, scale=scale, delay_s=delay_s)
         error, estimate = error_g(case)
         assert estimate.covariance_box[500, 0] == pytest.approx(BLEND_G**2)
         out = ~estimate.used[:, 0]
         assert (estimate.covariance_box[out, 0] > HIGH_G**2).all()
-        found.append(np.mean(error[out] ** 2 / estimate.covariance_box[out, 0]))
-    assert 0.4 < np.mean(found) < 2
+        result.append(np.mean(error[out] ** 2 / estimate.covariance_box[out, 0]))
+    assert 0.4 < np.mean(result) < 2
 
 
 def test_uncertainty_grows_while_the_low_range_is_unused() -> None:
@@ -360,12 +360,12 @@ def test_a_delay_is_corrected_where_the_high_range_is_alone() -> None:
     """A low range 4 ms late: during the rise to 5 g, at 3 g/s, the blend is late by 0.76 of that, and the high range
     has the same delay. Without the correction: 9 mg.
     """
-    found = []
+    result = []
     for seed in SEEDS:
         case = sensed(manoeuvre, 12, seed, bias_g=0.0, scale=0.0, delay_s=4e-3)
         error, _ = error_g(case, RangeBlend(pair(40.0)))
-        found.append(error[1080:1160].mean())
-    assert abs(np.mean(found)) < 3e-3
+        result.append(error[1080:1160].mean())
+    assert abs(np.mean(result)) < 3e-3
 
 
 def test_a_drifting_difference_is_followed() -> None:
@@ -427,10 +427,10 @@ def test_a_dead_high_sensor_does_not_stop_the_tracking() -> None:
     values = np.concatenate([case.frames.values, np.zeros((2000, 3))], axis=1)
     valid = np.concatenate([case.frames.valid, np.zeros((2000, 3), bool)], axis=1)
     technique(Frames(case.frames.time, values, valid))
-    found = technique.tracker.relative()
-    assert found[0].bias_si - found[3].bias_si == pytest.approx(BIAS_G, abs=4e-3)
-    assert found[0].scale - found[3].scale == pytest.approx(SCALE, abs=4e-3)
-    assert (found[6].bias_si, found[6].scale) == (0.0, 0.0)
+    result = technique.tracker.relative()
+    assert result[0].bias_si - result[3].bias_si == pytest.approx(BIAS_G, abs=4e-3)
+    assert result[0].scale - result[3].scale == pytest.approx(SCALE, abs=4e-3)
+    assert (result[6].bias_si, result[6].scale) == (0.0, 0.0)
 
 
 def test_a_sensor_that_fails_keeps_its_share_of_the_level() -> None:

@@ -46,9 +46,9 @@ def test_noise_of_the_extrapolation() -> None:
     late = CausalThermometer([0.0], 15.0)
     seconds = np.arange(40_000) / 4
     late.add((seconds * 1e9).astype(np.int64), rng.normal(0, 1, len(seconds)))
-    told = np.array([late.at(np.array([at]), 0)[0] for at in (seconds[-1] - 299.9 + np.arange(0, 299, 5.0))])
+    values = np.array([late.at(np.array([at]), 0)[0] for at in (seconds[-1] - 299.9 + np.arange(0, 299, 5.0))])
     expected = (1 + 2 * 17.6 * 7.5 / 125 + 17.6**2 * 12 / (4 * 15 * 25)) / 20
-    assert np.mean(told**2) == pytest.approx(expected, rel=0.5)  # 60 of them, of which 15 or more are independent
+    assert np.mean(values**2) == pytest.approx(expected, rel=0.5)  # 60 of them, of which 15 or more are independent
 
 
 def test_before_a_segment_is_whole_its_rows_are_averaged() -> None:

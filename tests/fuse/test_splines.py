@@ -17,8 +17,8 @@ def test_the_spline_equals_scipy(count: int) -> None:
     seconds = (known - known[0]) * 1e-9
     peer = CubicSpline(seconds, rows)
     at = np.sort(rng.integers(known[0], known[-1], 100))
-    found = between_gaps(known, rows, at, gap_ns=1e12)
-    np.testing.assert_allclose(found, peer((at - known[0]) * 1e-9), rtol=1e-12, atol=1e-12 * np.abs(found).max())
+    result = between_gaps(known, rows, at, gap_ns=1e12)
+    np.testing.assert_allclose(result, peer((at - known[0]) * 1e-9), rtol=1e-12, atol=1e-12 * np.abs(result).max())
     first, second = derivatives(known, rows, gap_ns=1e12)
     for ours, order in ((first, 1), (second, 2)):
         wanted = peer(seconds, order)
@@ -38,9 +38,9 @@ def test_a_cubic_is_its_own_spline() -> None:
 
 def test_the_spline_does_not_span_a_pause() -> None:
     known = np.array([0, 1, 2, 10, 11, 12]) * 10**9
-    found = between_gaps(known, np.arange(6.0)[:, None], np.array([5, 11]) * 10**9, gap_ns=2e9)
-    assert np.isnan(found[0, 0])
-    assert found[1, 0] == pytest.approx(4.0)
+    result = between_gaps(known, np.arange(6.0)[:, None], np.array([5, 11]) * 10**9, gap_ns=2e9)
+    assert np.isnan(result[0, 0])
+    assert result[1, 0] == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize("narrowest", [1_000, 1_000_000])

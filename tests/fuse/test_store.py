@@ -25,12 +25,12 @@ def blocks(count: int = 3, rows: int = 5000) -> Iterator[FusedBlock]:
 
 
 def test_columns_and_attributes_of_a_fused_file(tmp_path: Path) -> None:
-    path, told = tmp_path / "fused.h5", []
+    path, reports = tmp_path / "fused.h5", []
     frames = write_fused(
-        path, blocks(), epoch=EPOCH, technique="planes", log="run.h5", calibration="cal.toml", progress=told.append
+        path, blocks(), epoch=EPOCH, technique="planes", log="run.h5", calibration="cal.toml", progress=reports.append
     )
     assert frames == 15000
-    assert told == [5000, 10000, 15000]
+    assert reports == [5000, 10000, 15000]
     with h5py.File(path) as file:
         head = dict(file.attrs)
         assert (head["format"], head["format_version"], head["epoch"]) == ("imuarray-fused", 1, EPOCH)
@@ -142,9 +142,9 @@ def test_events_are_read_while_the_file_is_written(tmp_path: Path) -> None:
 def test_a_very_long_name_is_cut_between_characters(tmp_path: Path) -> None:
     event = FaultEvent(0, "specific_force", "é" * 1000, ("x",), "bias", "isolated", 0.1, 9.0)
     write_fused(tmp_path / "f.h5", blocks(1), epoch=EPOCH, technique="mean", log="run.h5", events=[event])
-    (told,) = read_fused_events(tmp_path / "f.h5")
-    assert told.sensor == "é" * 128
-    assert told.message.startswith("0.00 s: éé")
+    (stored,) = read_fused_events(tmp_path / "f.h5")
+    assert stored.sensor == "é" * 128
+    assert stored.message.startswith("0.00 s: éé")
 
 
 def test_older_files_have_no_events_and_broken_ones_are_refused(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_the_file_does_not_depend_on_blocks(tmp_path: Path, rows: int) -> None:
     """The columns of the file are the concatenated blocks, of any lengths."""
     given = list(blocks(max(2, min(50, 50000 // rows)), rows))
     write_fused(tmp_path / "f.h5", given, epoch=EPOCH, technique="mean", log="run.h5")
-    found = FusedBlock.joined(list(read_fused(tmp_path / "f.h5")))
-    assert (found.time == np.concatenate([block.time for block in given])).all()
+    result = FusedBlock.joined(list(read_fused(tmp_path / "f.h5")))
+    assert (result.time == np.concatenate([block.time for block in given])).all()
     for quantity in ("specific_force", "angular_rate"):
-        np.testing.assert_array_equal(found.triads[quantity], np.concatenate([b.triads[quantity] for b in given]))
+        np.testing.assert_array_equal(result.triads[quantity], np.concatenate([b.triads[quantity] for b in given]))

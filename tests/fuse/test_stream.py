@@ -110,22 +110,22 @@ def test_frames_are_given_while_rows_arrive(run: Path) -> None:
 
 def test_a_silent_sensor_is_waited_for_until_the_time_out_and_reported(run: Path) -> None:
     """G2 ends at 4 s: after the time-out frames are given without it, and equal those of the log."""
-    said: list[str] = []
+    text: list[str] = []
     with open_log(run) as log:
-        stream = started(log, 1.0, said.append)
+        stream = started(log, 1.0, text.append)
         waits = list(in_steps(started(log), read(log), 6.1))
         early = list(in_steps(stream, read(log), 6.1))
         same([*early, *stream.finish()], list(fuse(log, calibration(parts()), "mean")))
-    assert said == ["G2: silent, fused without it"]
+    assert text == ["G2: silent, fused without it"]
     assert waits[-1].time[-1] < 4.0e9 < 5.0e9 < early[-1].time[-1]
 
 
 def test_a_silent_sensor_is_used_again_after_its_return(run: Path) -> None:
     """A1 is silent from 2 to 2.5 s."""
-    said: list[str] = []
+    text: list[str] = []
     with open_log(run) as log:
-        fused = list(in_steps(started(log, 0.3, said.append), read(log), 5.0))
-    assert said[:2] == ["A1: silent, fused without it", "A1: fused again"]
+        fused = list(in_steps(started(log, 0.3, text.append), read(log), 5.0))
+    assert text[:2] == ["A1: silent, fused without it", "A1: fused again"]
     used = np.concatenate([block.used["specific_force"] for block in fused])
     time = np.concatenate([block.time for block in fused]) * 1e-9
     assert (used[(time > 2.05) & (time < 2.45), 1] == 0).all()

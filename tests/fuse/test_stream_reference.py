@@ -73,14 +73,14 @@ def rows_of(course: Course, part: Part, frames_ns: np.ndarray, rng: np.random.Ge
 
 def looped(rows: list[Block], time_ns: int) -> list[int]:
     """The sensors with a valid reading within half a frame, by the nearest reading."""
-    found = []
+    result = []
     for number, block in enumerate(rows):
         if len(block.time):
             nearest = int(np.argmin(np.abs(block.time - time_ns)))
             is_near = 2 * abs(int(block.time[nearest]) - time_ns) <= PERIOD_NS
             if is_near and not block.status[nearest] & (SATURATED | SUSPECT):
-                found.append(number)
-    return found
+                result.append(number)
+    return result
 
 
 @given(

@@ -134,8 +134,8 @@ def test_every_format_keeps_counts_and_times(form: str, unit: str, tmp_path: Pat
     per_unit = QUANTITIES[quantity][1] * SI[unit] / SI[QUANTITIES[quantity][2]]
     how = f"sensitivity = {per_unit!r}\nvalues = 'physical'"
     sensor = SENSOR.format(quantity=quantity, unit=unit, range=32768 / per_unit, how=how)
-    found, _ = exported(tmp_path, FORMATS[form](tmp_path, columns_of(counts / per_unit)), TIME + sensor)
-    np.testing.assert_array_equal(found, counts)
+    result, _ = exported(tmp_path, FORMATS[form](tmp_path, columns_of(counts / per_unit)), TIME + sensor)
+    np.testing.assert_array_equal(result, counts)
 
 
 def columns_of(values: np.ndarray) -> dict[str, np.ndarray]:
@@ -151,8 +151,8 @@ def test_codes_with_any_offset_are_kept(triads: list[tuple[int, int, int]], form
     sensor = SENSOR.format(quantity="specific_force", unit="g", range=16, how=f"sensitivity = 2048\noffset = {offset}")
     with TemporaryDirectory() as name:
         columns = columns_of(counts + offset)
-        found, time = exported(Path(name), FORMATS[form](Path(name), columns), TIME + sensor)
-    np.testing.assert_array_equal(found, counts)
+        result, time = exported(Path(name), FORMATS[form](Path(name), columns), TIME + sensor)
+    np.testing.assert_array_equal(result, counts)
     np.testing.assert_array_equal(time, columns["t"])
 
 
@@ -174,12 +174,12 @@ def test_values_in_any_unit_give_their_counts(
     sensor = SENSOR.format(quantity=quantity, unit=unit, range=32768 / per_unit, how=how)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        found, _ = exported(folder, FORMATS[form](folder, columns_of(counts / per_unit)), TIME + sensor)
+        result, _ = exported(folder, FORMATS[form](folder, columns_of(counts / per_unit)), TIME + sensor)
         with open_log(folder / "run.h5") as log:
             assert log["S"].unit == log_unit
             assert log["S"].sensitivity == pytest.approx(per_log_unit, rel=1e-12)
             assert log["S"].range == pytest.approx(32768 / per_log_unit, rel=1e-12)
-    np.testing.assert_array_equal(found, counts)
+    np.testing.assert_array_equal(result, counts)
 
 
 @pytest.mark.slow
@@ -190,10 +190,10 @@ def test_twos_complement_read_as_unsigned_is_restored(triads: list[tuple[int, in
     counts += np.arange(counts.size).reshape(counts.shape) % (1 << max(bits - 16, 0))  # the lowest bits occur, too
     sensor = SENSOR.format(quantity="angular_rate", unit="mdps", range=1e6, how=f"scale = 61.0\nbits = {bits}")
     with TemporaryDirectory() as name:
-        found, _ = exported(Path(name), write_csv(Path(name), columns_of(counts % (1 << bits))), TIME + sensor)
+        result, _ = exported(Path(name), write_csv(Path(name), columns_of(counts % (1 << bits))), TIME + sensor)
         with open_log(Path(name) / "run.h5") as log:
             assert log["S"].sensitivity == pytest.approx(1000 / 61.0)
-    np.testing.assert_array_equal(found, counts)
+    np.testing.assert_array_equal(result, counts)
 
 
 @pytest.mark.parametrize("unit", ["m/s2", *(pytest.param(unit, marks=pytest.mark.slow) for unit in ("g", "mg"))])
@@ -205,8 +205,8 @@ def test_the_grid_of_the_values_determines_the_counts(tmp_path: Path, unit: str)
     sensor = (
         f'[[sensor]]\nname = "S"\nchip = "any"\nquantity = "specific_force"\ncolumns = ["x", "y", "z"]\nunit = "{unit}"'
     )
-    found, _ = exported(tmp_path, write_csv(tmp_path, columns), f"{TIME}{sensor}\n")
-    np.testing.assert_array_equal(found, counts)
+    result, _ = exported(tmp_path, write_csv(tmp_path, columns), f"{TIME}{sensor}\n")
+    np.testing.assert_array_equal(result, counts)
     with open_log(tmp_path / "run.h5") as log:
         assert (log["S"].sensitivity, log["S"].range) == (8192, 2)
 
@@ -216,11 +216,11 @@ def test_values_without_a_grid_are_rounded_to_16_bits(tmp_path: Path) -> None:
     sensor = (
         '[[sensor]]\nname = "S"\nchip = "any"\nquantity = "angular_rate"\ncolumns = ["x", "y", "z"]\nunit = "rad/s"'
     )
-    found, _ = exported(tmp_path, write_npz(tmp_path, columns_of(values)), f"{TIME}{sensor}\n")
+    result, _ = exported(tmp_path, write_npz(tmp_path, columns_of(values)), f"{TIME}{sensor}\n")
     with open_log(tmp_path / "run.h5") as log:
         per_unit = log["S"].sensitivity
         assert log["S"].range == 500  # dps: the next that chips have above 8 rad/s
-    assert np.abs(np.radians(found / per_unit) - values).max() <= np.radians(0.5 / per_unit) * 1.000001
+    assert np.abs(np.radians(result / per_unit) - values).max() <= np.radians(0.5 / per_unit) * 1.000001
     assert per_unit == pytest.approx(32767 / 500)
 
 

@@ -202,9 +202,9 @@ def test_consecutive_recordings_in_a_file_are_imported(tmp_path: Path) -> None:
 def test_rows_of_several_kinds_are_distinguished(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_bytes(several_tables())
     guessed = guess_map(tmp_path / "data.csv")
-    found = parse_map(guessed, "guess")
-    assert found.file.kind_column == 0
-    assert {(sensor.kind, sensor.quantity) for sensor in found.sensor} == {
+    result = parse_map(guessed, "guess")
+    assert result.file.kind_column == 0
+    assert {(sensor.kind, sensor.quantity) for sensor in result.sensor} == {
         ("ACC", "specific_force"),
         ("GYR", "angular_rate"),
     }

@@ -183,9 +183,9 @@ def test_an_unknown_unit_of_time_is_refused_with_the_allowed_ones(
     text = guess_map(source).replace('unit = "s"', f'unit = "{unit}"', 1)
     (tmp_path / "map.toml").write_text(text, encoding="utf-8")
     assert main(["import", str(source), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]) == 2
-    said = capsys.readouterr().err
-    assert "map.toml" in said
-    assert "%H" in said
+    message = capsys.readouterr().err
+    assert "map.toml" in message
+    assert "%H" in message
 
 
 def test_rows_out_of_order_keep_their_time_column_and_are_sorted(tmp_path: Path) -> None:

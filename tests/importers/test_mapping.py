@@ -231,8 +231,8 @@ def test_the_name_of_a_face_gives_the_up_axis(tmp_path: Path, name: str, up: str
 def test_usual_spellings_of_units_are_accepted(quantity: str, spelt: str, size: float) -> None:
     """The size in g, dps and gauss. A G is a unit of acceleration or of a field, by the quantity."""
     sensor = f'name = "A", chip = "any", quantity = "{quantity}", columns = [0, 1, 2], unit = "{spelt}"'
-    found = parse_map(f"time = {{ rate_hz = 1 }}\nsensor = [{{ {sensor} }}]\n", "map.toml")
-    assert found.sensor[0].log_units == pytest.approx(size, rel=1e-12)
+    result = parse_map(f"time = {{ rate_hz = 1 }}\nsensor = [{{ {sensor} }}]\n", "map.toml")
+    assert result.sensor[0].log_units == pytest.approx(size, rel=1e-12)
 
 
 def test_usual_spellings_of_time_and_temperature_are_accepted() -> None:
@@ -245,9 +245,9 @@ thermometer = [{{ name = "T", column = 4, unit = "\u00b0C" }}]
 temperature = {{ column = 5, unit = "kelvin" }}
 angular_rate = {{ columns = [6, 7, 8], unit = "\u00b0/s" }}
 """
-    found = parse_map(text, "map.toml")
-    assert found.time is not None and found.time.unit == "us"
-    assert found.thermometer[0].unit == "degC"
-    assert found.reference is not None and found.reference.temperature is not None
-    assert found.reference.temperature.unit == "K"
-    assert found.reference.angular_rate is not None and found.reference.angular_rate.unit == "dps"
+    result = parse_map(text, "map.toml")
+    assert result.time is not None and result.time.unit == "us"
+    assert result.thermometer[0].unit == "degC"
+    assert result.reference is not None and result.reference.temperature is not None
+    assert result.reference.temperature.unit == "K"
+    assert result.reference.angular_rate is not None and result.reference.angular_rate.unit == "dps"

@@ -567,14 +567,14 @@ SLOW = (
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
 )
 def test_the_report_names_the_defect(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    data, table_map, code, said = CASES[name]
+    data, table_map, code, message = CASES[name]
     (tmp_path / "data.csv").write_bytes(data)
     (tmp_path / "map.toml").write_text(table_map, encoding="utf-8")
     arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
     assert main(["import", *arguments]) == code
     captured = capsys.readouterr()
     text = " ".join((captured.out + captured.err).split())
-    for sentence in said:
+    for sentence in message:
         assert sentence in text, text
     if name in ("sound", "shaken throughout", "turned throughout"):
         assert "?" not in text

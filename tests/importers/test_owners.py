@@ -269,7 +269,7 @@ def test_the_guessed_map_gives_the_true_values(case: Case, tmp_path: Path) -> No
             check_truth(log, case.force, case.error)
         else:
             np.testing.assert_allclose(log["Acc"].counts[:] / log["Acc"].sensitivity, case.force, atol=case.error[0])
-        assert not [said for said in report_of(log).doubts if said.startswith("Acc")]
+        assert not [message for message in report_of(log).doubts if message.startswith("Acc")]
 
 
 @pytest.mark.slow

@@ -151,14 +151,14 @@ def test_rows_without_an_attitude_are_omitted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("quantity", "unit", "more", "said"),
+    ("quantity", "unit", "more", "message"),
     [
         ("angular_rate", "dps", "", "attitude_columns apply to specific_force, but the quantity is angular_rate"),
         ("specific_force", "g", "gravity_columns = [8, 9, 10]", "would add gravity twice"),
         ("specific_force", "g", "range = 2\nsensitivity = 16384", "attitude_columns applies to columns in a unit"),
     ],
 )
-def test_contradictory_maps_are_refused(quantity: str, unit: str, more: str, said: str) -> None:
+def test_contradictory_maps_are_refused(quantity: str, unit: str, more: str, message: str) -> None:
     text = f"""
 [time]
 rate_hz = 100
@@ -171,5 +171,5 @@ unit = "{unit}"
 attitude_columns = [3, 4, 5, 6]
 {more}
 """
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         parse_map(text, "map.toml")

@@ -126,8 +126,8 @@ def test_wide_lines_are_detected(tmp_path: Path, capsys: Capture) -> None:
         run = tmp_path / f"{name}.h5"
         said_of(RECORDINGS / FILES[name], name, run, capsys)
         assert main(["characterise", str(run), "--sensor", sensor, "--json"]) == 0
-        (found,) = json.loads(capsys.readouterr().out)["sensors"]
-        strongest = found["axes"][axis]["lines"][0]
+        (result,) = json.loads(capsys.readouterr().out)["sensors"]
+        strongest = result["axes"][axis]["lines"][0]
         assert low_hz < strongest["frequency_hz"] < high_hz and strongest["width_hz"] > 0.3
 
 

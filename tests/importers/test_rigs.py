@@ -146,7 +146,7 @@ def folder_of(folder: Path, *files: list[str]) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("files", "said"),
+    ("files", "message"),
     [
         ((LINES[:800], LINES[600:]), "imu1: its first 200 rows are in the file before it, too: kept once"),
         ((LINES[:800], LINES[800:]), "imu0, imu1 joined in this order"),
@@ -155,10 +155,10 @@ def folder_of(folder: Path, *files: list[str]) -> Path:
     ],
     ids=["overlap", "follow", "three", "inside"],
 )
-def test_parts_in_a_folder_are_joined(files: tuple[list[str], ...], said: str, tmp_path: Path) -> None:
+def test_parts_in_a_folder_are_joined(files: tuple[list[str], ...], message: str, tmp_path: Path) -> None:
     """Files that begin one after the other and agree where they overlap are one recording, with each row once."""
     source = folder_of(tmp_path / "parts", *files)
-    assert said in " ".join(line.lstrip("# ~") for line in guess_map(source).splitlines())
+    assert message in " ".join(line.lstrip("# ~") for line in guess_map(source).splitlines())
     with imported(tmp_path, source) as log:
         assert set(log.sensors) == {"Acc", "Gyro"}
         assert np.asarray(log["Acc"].time[:]) * 1e-9 == pytest.approx(T, abs=1e-6)
@@ -177,11 +177,11 @@ APART: dict[str, tuple[list[str], str]] = {
 
 @pytest.mark.parametrize("case", some(APART, 1))
 def test_files_that_do_not_follow_each_other_are_doubted(case: str, tmp_path: Path) -> None:
-    second, said = APART[case]
+    second, message = APART[case]
     source = folder_of(tmp_path / "parts", LINES[:800], second)
     text = " ".join(line.removeprefix("#").strip() for line in guess_map(source).splitlines())
     assert "imu0.csv, imu1.csv have the same columns and begin one after the other" in text
-    assert said in text
+    assert message in text
     with imported(tmp_path, source) as log:
         assert set(log.sensors) == {"Acc", "Gyro", "Acc2", "Gyro2"}
 

@@ -93,8 +93,8 @@ def test_a_table_with_dates_is_imported(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_the_scale_of_a_thermometer_is_imported_and_exported(tmp_path: Path) -> None:
     """The map gives it to the log, and the export returns it."""
-    said = 'temperature_column = "w"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n'
-    write(tmp_path, "t,x,y,z,w\n0.5,1,-2,3,-340\n0.51,4,5,-6,680\n", NAMED + said)
+    text = 'temperature_column = "w"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n'
+    write(tmp_path, "t,x,y,z,w\n0.5,1,-2,3,-340\n0.51,4,5,-6,680\n", NAMED + text)
     assert main(["export", str(tmp_path / "out.h5"), "-o", str(tmp_path / "out.npz")]) == 0
     assert main(["import", str(tmp_path / "out.npz"), "-o", str(tmp_path / "again.h5")]) == 0
     for name in ("out.h5", "again.h5"):

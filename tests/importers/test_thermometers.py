@@ -69,9 +69,9 @@ def imported(folder: Path, more: str, sensor: str = "") -> Path:
 def test_slopes_are_calibrated_with_an_imported_temperature(sensor: str, more: str, kind: str, tmp_path: Path) -> None:
     degc = warming(tmp_path)
     with open_log(imported(tmp_path, more, sensor)) as log:
-        found = thermometer_of(log, log["Acc"], 5.0)
-        assert found is not None and found.kind == kind
-        np.testing.assert_allclose(found.at(np.array([300.0, 900.0])), degc[[3000, 9000]], atol=0.05)
+        result = thermometer_of(log, log["Acc"], 5.0)
+        assert result is not None and result.kind == kind
+        np.testing.assert_allclose(result.at(np.array([300.0, 900.0])), degc[[3000, 9000]], atol=0.05)
         thermal = calibrate_thermal(log).calibration.sensors["Acc"].thermal
         assert thermal is not None
         error = np.asarray(thermal.slope_sem_lsb_per_degc)

@@ -42,8 +42,8 @@ def demo(printed: dict[str, Any]) -> Path:
 
 @pytest.fixture(scope="module")
 def gains(printed: dict[str, Any]) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = printed["gains"]
-    return found
+    result: list[dict[str, Any]] = printed["gains"]
+    return result
 
 
 def test_all_keys_of_the_output_are_documented(printed: dict[str, Any]) -> None:

@@ -37,7 +37,7 @@ def cause(effect: str, probability: float = 0.9, *sensors: str, **more: Any) -> 
     }
 
 
-def said(
+def gap_diagnosis(
     *causes: Mapping[str, Any],
     verdict: str = "explained",
     closed: float | None = 0.9,
@@ -57,7 +57,7 @@ def said(
     }
 
 
-NO_GAP = said(verdict="no gap", closed=None, ci95=None, unknown=0.0)
+NO_GAP = gap_diagnosis(verdict="no gap", closed=None, ci95=None, unknown=0.0)
 
 
 @dataclass

@@ -85,7 +85,7 @@ def test_a_truth_is_read_as_a_case(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"kind": "odd", "effects": []}, "kind is missing or none of control, effect, unknown, pair"),
         ({"kind": "effect"}, "effects is not a list"),
@@ -93,13 +93,13 @@ def test_a_truth_is_read_as_a_case(tmp_path: Path) -> None:
         (truth(effect("ghost")), "effect 'ghost': allowed are"),
     ],
 )
-def test_an_invalid_truth_is_refused(tmp_path: Path, table: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_an_invalid_truth_is_refused(tmp_path: Path, table: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         write_truth(tmp_path, "000", table)
     written(tmp_path / "000" / "log.h5")
     (tmp_path / "sealed").mkdir(exist_ok=True)
     (tmp_path / "sealed" / "000.json").write_text(json.dumps(table))
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         read_case(cases_in([tmp_path], "sealed", 0)[0])
 
 

@@ -202,8 +202,8 @@ def test_the_pages_state_the_number_of_cases(page: str) -> None:
     told = {"short": f"{counts['short']} cases", "full": f"{counts['full']}"}
     if page == "VALIDATION.md":
         told = {name: f"`{name}` ({count}" for name, count in counts.items() if name != "none"}
-    for name, said in told.items():
-        assert said in text, name
+    for name, message in told.items():
+        assert message in text, name
 
 
 @pytest.mark.slow

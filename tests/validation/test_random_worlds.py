@@ -70,9 +70,9 @@ def test_a_dead_bit_is_detected_over_all_phases(tmp_path: Path) -> None:
     """
     with recorded(tmp_path, 1_060_059, Put("stuck_bit", 3.66, 5.0, ("Gyro3",))) as logs:
         compared = compare(recordings_of(logs), runner, Reference(None), replicates=REPLICATES)
-        found = compared.comparison.localisation
-        assert found.is_gap
-        (sensor,) = found.root.found("sensor")
+        result = compared.comparison.localisation
+        assert result.is_gap
+        (sensor,) = result.root.found("sensor")
         assert sensor.path[1] == "Gyro3"
-        (first, *_) = found.p_by_place
+        (first, *_) = result.p_by_place
         assert compared.comparison.pairs.keys[first].probe == "absent_codes"

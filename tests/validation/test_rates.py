@@ -80,9 +80,9 @@ def test_bins_of_probabilities_by_hand() -> None:
 def test_calibration_error_and_brier_score_of_one_probability(hits: int, misses: int, probability: float) -> None:
     """ECE is |p - share|, Brier (p - share)^2 + share (1 - share)."""
     right = [True] * hits + [False] * misses
-    share, said = hits / len(right), [probability] * len(right)
-    assert calibration_error(said, right) == pytest.approx(abs(probability - share), abs=1e-12)
-    assert brier(said, right) == pytest.approx((probability - share) ** 2 + share * (1 - share), abs=1e-12)
+    share, text = hits / len(right), [probability] * len(right)
+    assert calibration_error(text, right) == pytest.approx(abs(probability - share), abs=1e-12)
+    assert brier(text, right) == pytest.approx((probability - share) ** 2 + share * (1 - share), abs=1e-12)
 
 
 def test_errors_of_bins_are_weighted_by_their_cases() -> None:

@@ -10,7 +10,7 @@ from imuarray.report.validation_page import markdown, summary_lines
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.scoring import as_json, format_text, score_folder, split_figures
-from tests.validation.made_run import NO_GAP, Made, cause, put, said
+from tests.validation.made_run import NO_GAP, Made, cause, gap_diagnosis, put
 
 CHIPS = {"Gyro1": "l3g4200d", "BMA1": "bma180"}
 
@@ -25,9 +25,9 @@ def run(tmp_path: Path) -> Made:
         for number in range(10):
             first = cause("tone" if number < right else "scale")
             plan = "heating+static" if number % 2 else "static"
-            made.both("single", said(first), put("mains_ripple"), plan=plan, world=world, chips=CHIPS)
+            made.both("single", gap_diagnosis(first), put("mains_ripple"), plan=plan, world=world, chips=CHIPS)
         for number in range(4):
-            diagnosis = said() if world == "foreign" and number == 0 else NO_GAP
+            diagnosis = gap_diagnosis() if world == "foreign" and number == 0 else NO_GAP
             made.both("none", diagnosis, plan="static", world=world, chips=CHIPS)
     return made
 
@@ -76,8 +76,8 @@ def test_parts_are_compared_with_the_rest(run: Made) -> None:
 @pytest.mark.slow
 def test_causes_of_the_control_are_ignored_in_its_cases(tmp_path: Path) -> None:
     made = Made(tmp_path)
-    control = made.both("none", said(cause("quantisation", 0.9, "BMA1")), world="real")
-    diagnosis = said(cause("quantisation", 0.95, "BMA1"), cause("tone", 0.7, "BMA1"))
+    control = made.both("none", gap_diagnosis(cause("quantisation", 0.9, "BMA1")), world="real")
+    diagnosis = gap_diagnosis(cause("quantisation", 0.95, "BMA1"), cause("tone", 0.7, "BMA1"))
     made.both("single", diagnosis, put("mains_ripple", 5.0, "BMA1"), world="real", control=control.name)
     score = score_folder(tmp_path)
     assert score.row("right cause first").value == 1.0
@@ -114,10 +114,10 @@ def test_defects_of_a_world_are_not_false_alarms(tmp_path: Path) -> None:
     made = Made(tmp_path)
     labels, shaken = {"labels": "some wrong"}, {"vibration": "fan"}
     for strata, diagnosis in (
-        (labels, said(cause("face_error"))),
-        (shaken, said(cause("common_mode"), cause("tone"))),
-        (labels, said(cause("face_error"), cause("scale"))),
-        (shaken, said(cause("face_error"))),
+        (labels, gap_diagnosis(cause("face_error"))),
+        (shaken, gap_diagnosis(cause("common_mode"), cause("tone"))),
+        (labels, gap_diagnosis(cause("face_error"), cause("scale"))),
+        (shaken, gap_diagnosis(cause("face_error"))),
         (labels, NO_GAP),
     ):
         made.both("none", diagnosis, plan="static", world="emulator", chips=CHIPS, strata=strata)
@@ -130,9 +130,9 @@ def test_defects_of_a_world_are_ignored_before_the_first_cause(tmp_path: Path) -
     """The mechanism is named after wrong labels, and a line in a room with vibration may be that of the mechanism."""
     made = Made(tmp_path)
     for strata, diagnosis in (
-        ({"labels": "some wrong"}, said(cause("face_error"), cause("tone"))),
-        ({"vibration": "fan"}, said(cause("common_mode"), cause("tone"))),
-        ({}, said(cause("face_error"), cause("tone"))),
+        ({"labels": "some wrong"}, gap_diagnosis(cause("face_error"), cause("tone"))),
+        ({"vibration": "fan"}, gap_diagnosis(cause("common_mode"), cause("tone"))),
+        ({}, gap_diagnosis(cause("face_error"), cause("tone"))),
     ):
         made.both("single", diagnosis, put("mains_ripple"), plan="static", world="emulator", chips=CHIPS, strata=strata)
     row = score_folder(made.folder).row("right cause first")

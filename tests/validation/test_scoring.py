@@ -14,9 +14,9 @@ from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.score_rows import ScoreRow, extra_of, is_place_right
 from imuarray.validation.scoring import Figures, as_json, format_text, score_folder
-from tests.validation.made_run import FROZEN, NO_GAP, THERE_OR_NOT, Made, cause, put, said
+from tests.validation.made_run import FROZEN, NO_GAP, THERE_OR_NOT, Made, cause, gap_diagnosis, put
 
-RIPPLE = said(cause("tone"))
+RIPPLE = gap_diagnosis(cause("tone"))
 
 
 @pytest.fixture
@@ -82,15 +82,15 @@ def test_detection_is_counted_by_severity_plan_and_mechanism(made: Made) -> None
 def test_right_first_causes_and_classes_are_counted(made: Made) -> None:
     """Of seven that are detected three are right; two more have the right name in their class. 5x and above: 2 of 3."""
     large, small = put("mains_ripple", 5.0), put("mains_ripple", 2.0)
-    made.both("single", said(cause("tone"), cause("scale", 0.8)), large)
-    made.both("single", said(cause("odr_error")), put("slow_oscillator", 20.0))
-    made.both("single", said(cause("scale", confusable_with=["tone"]), cause("tone", 0.3)), large)
+    made.both("single", gap_diagnosis(cause("tone"), cause("scale", 0.8)), large)
+    made.both("single", gap_diagnosis(cause("odr_error")), put("slow_oscillator", 20.0))
+    made.both("single", gap_diagnosis(cause("scale", confusable_with=["tone"]), cause("tone", 0.3)), large)
     made.both("single", RIPPLE, small)
-    made.both("single", said(cause("scale", confusable_with=["tone"])), small)
-    made.both("single", said(cause("tone", action="remove")), small)
-    made.both("single", said(verdict="unexplained"), small)
+    made.both("single", gap_diagnosis(cause("scale", confusable_with=["tone"])), small)
+    made.both("single", gap_diagnosis(cause("tone", action="remove")), small)
+    made.both("single", gap_diagnosis(verdict="unexplained"), small)
     made.both("single", NO_GAP, small)
-    made.both("single", said(cause("scale")), large, plan="static")
+    made.both("single", gap_diagnosis(cause("scale")), large, plan="static")
     score = figures(made)
     first = score.row("right cause first")
     assert shares(first) == (pytest.approx(3 / 7), 7)
@@ -128,7 +128,7 @@ def test_the_place_of_a_right_cause_is_scored(
     made: Made, truth: list[str], causes: list[dict[str, Any]], axes: tuple[str, ...], right: bool
 ) -> None:
     """Sensors on which no mechanism can be put are not counted; an axis is counted where the truth names it."""
-    case = made.both("single", said(*causes), put("mains_ripple", 5.0, *truth))
+    case = made.both("single", gap_diagnosis(*causes), put("mains_ripple", 5.0, *truth))
     if axes:
         path = made.folder / "sealed" / f"{case.name}.json"
         table = json.loads(path.read_text())
@@ -142,8 +142,8 @@ def test_the_place_of_a_right_cause_is_scored(
 def test_the_place_is_scored_for_right_causes_only(made: Made) -> None:
     """Gyro2 is counted, since the truth of another case names it."""
     made.both("single", RIPPLE, put("mains_ripple", 5.0, "Gyro1"))
-    made.both("single", said(cause("tone", 0.9, "Gyro1", "Gyro2")), put("mains_ripple", 5.0, "Gyro1"))
-    made.both("single", said(cause("scale", 0.9, "Gyro1")), put("mains_ripple", 5.0, "Gyro2"))
+    made.both("single", gap_diagnosis(cause("tone", 0.9, "Gyro1", "Gyro2")), put("mains_ripple", 5.0, "Gyro1"))
+    made.both("single", gap_diagnosis(cause("scale", 0.9, "Gyro1")), put("mains_ripple", 5.0, "Gyro2"))
     assert shares(figures(made).row("right sensor and axis")) == (0.5, 2)
     assert shares(figures(made, sensors=("Gyro1",)).row("right sensor and axis")) == (1.0, 2)
 
@@ -155,15 +155,17 @@ def test_recognition_of_unknown_mechanisms_is_scored(made: Made) -> None:
     """
     for number in range(10):
         verdict = "unexplained" if number == 9 else "partly explained" if number == 8 else "explained"
-        made.both("single", said(cause("tone"), verdict=verdict, unknown=number / 10), put("mains_ripple", 5.0))
-    made.both("single", said(cause("tone"), unknown=1.0), put("mains_ripple", 20.0))
+        made.both(
+            "single", gap_diagnosis(cause("tone"), verdict=verdict, unknown=number / 10), put("mains_ripple", 5.0)
+        )
+    made.both("single", gap_diagnosis(cause("tone"), unknown=1.0), put("mains_ripple", 20.0))
     for kind, verdict, unknown in (
         ("unnamed", "unexplained", 0.95),
         ("unnamed", "partly explained", 0.85),
         ("withheld", "explained", 0.75),
         ("withheld", "explained", 0.0),
     ):
-        made.both(kind, said(cause("scale"), verdict=verdict, unknown=unknown), put("single_trap"))  # type: ignore[arg-type]
+        made.both(kind, gap_diagnosis(cause("scale"), verdict=verdict, unknown=unknown), put("single_trap"))  # type: ignore[arg-type]
     made.both("unnamed", NO_GAP, put("single_trap"))
     score = figures(made)
     called = score.row("unknown called unexplained or partly")
@@ -192,7 +194,7 @@ def test_recognition_of_unknown_mechanisms_is_scored(made: Made) -> None:
 def test_two_mechanisms_on_different_sensors_are_both_named(
     made: Made, causes: list[dict[str, Any]], named: bool
 ) -> None:
-    made.both("pair", said(*causes), put("mains_ripple", 5.0, "Gyro1"), put("reference_voltage", 5.0, "BMA1"))
+    made.both("pair", gap_diagnosis(*causes), put("mains_ripple", 5.0, "Gyro1"), put("reference_voltage", 5.0, "BMA1"))
     score = figures(made)
     assert shares(score.row("two on different units, both named")) == (float(named), 1)
     assert score.row("two on one sensor, both named").mark == "n.a."
@@ -201,11 +203,11 @@ def test_two_mechanisms_on_different_sensors_are_both_named(
 @pytest.mark.slow
 def test_two_mechanisms_on_one_sensor_or_of_one_name(made: Made) -> None:
     """Two mechanisms that have the same name on two sensors of a chip may be reported as one cause."""
-    made.both("pair", said(cause("tone"), cause("scale")), put("mains_ripple"), put("reference_voltage"))
-    made.both("pair", said(cause("tone")), put("mains_ripple"), put("reference_voltage"))
+    made.both("pair", gap_diagnosis(cause("tone"), cause("scale")), put("mains_ripple"), put("reference_voltage"))
+    made.both("pair", gap_diagnosis(cause("tone")), put("mains_ripple"), put("reference_voltage"))
     both = put("torn_reads", 5.0, "Gyro1"), put("cable_bit_errors", 5.0, "Gyro2")
-    made.both("pair", said(cause("glitches", 0.9, "Gyro1", "Gyro2")), *both)
-    made.both("pair", said(cause("glitches", 0.9, "Gyro1")), *both)
+    made.both("pair", gap_diagnosis(cause("glitches", 0.9, "Gyro1", "Gyro2")), *both)
+    made.both("pair", gap_diagnosis(cause("glitches", 0.9, "Gyro1")), *both)
     score = figures(made)
     assert shares(score.row("two on one sensor, both named")) == (0.5, 2)
     assert shares(score.row("two on different units, both named")) == (0.5, 2)
@@ -226,7 +228,7 @@ def test_two_mechanisms_on_one_sensor_or_of_one_name(made: Made) -> None:
 def test_a_removed_effect_of_the_base_model_is_named(
     made: Made, extra: dict[str, Any], said_cause: dict[str, Any], right: bool
 ) -> None:
-    made.both("removal", said(said_cause), extra=extra, resembles=[])
+    made.both("removal", gap_diagnosis(said_cause), extra=extra, resembles=[])
     assert shares(figures(made).row("removed base effect named")) == (float(right), 1)
 
 
@@ -245,10 +247,16 @@ def test_closure_is_compared_with_the_oracle(made: Made) -> None:
         (None, None, 0.9),
         (0.9, (0.8, 0.95), None),
     ):
-        made.both("single", said(cause("tone"), closed=claimed, ci95=interval), put("mains_ripple"), oracle=oracle)
+        made.both(
+            "single", gap_diagnosis(cause("tone"), closed=claimed, ci95=interval), put("mains_ripple"), oracle=oracle
+        )
     made.both("single", NO_GAP, put("mains_ripple"), oracle=0.9)
     made.both(
-        "pair", said(cause("tone"), closed=0.7, ci95=(0.65, 0.75)), put("mains_ripple"), put("single_trap"), oracle=0.7
+        "pair",
+        gap_diagnosis(cause("tone"), closed=0.7, ci95=(0.65, 0.75)),
+        put("mains_ripple"),
+        put("single_trap"),
+        oracle=0.7,
     )
     score = figures(made)
     near, covers = score.row("closure near the oracle's"), score.row("closure's interval covers the oracle's")
@@ -265,11 +273,11 @@ def test_closure_is_compared_with_the_oracle(made: Made) -> None:
 def test_closure_claimed_by_wrong_causes_is_scored(made: Made) -> None:
     """0.1 and 0.6 for wrong causes; a right cause, and a cause without closure, are not counted."""
     for effect, closed in (("scale", 0.1), ("scale", 0.6), ("tone", 0.9), ("scale", None)):
-        made.both("single", said(cause(effect, closed=closed)), put("mains_ripple"))
+        made.both("single", gap_diagnosis(cause(effect, closed=closed)), put("mains_ripple"))
     made.both("none", NO_GAP)
-    made.both("none", said(cause("tone"), closed=0.2, ci95=(-0.1, 0.4)))
-    made.both("none", said(cause("tone"), closed=0.3, ci95=(0.1, 0.4)))
-    made.both("none", said(verdict="unexplained", closed=None, ci95=None))
+    made.both("none", gap_diagnosis(cause("tone"), closed=0.2, ci95=(-0.1, 0.4)))
+    made.both("none", gap_diagnosis(cause("tone"), closed=0.3, ci95=(0.1, 0.4)))
+    made.both("none", gap_diagnosis(verdict="unexplained", closed=None, ci95=None))
     score = figures(made)
     wrong = score.row("closure claimed for a wrong cause")
     assert shares(wrong) == (pytest.approx(0.35), 2) and wrong.mark == "FAIL"
@@ -282,9 +290,9 @@ def test_closure_of_withheld_mechanisms_is_scored(made: Made) -> None:
     effects are counted.
     """
     for closed in (0.6, None, -0.1):
-        made.both("withheld", said(cause("scale", closed=0.9), closed=closed), put("mains_ripple"))
+        made.both("withheld", gap_diagnosis(cause("scale", closed=0.9), closed=closed), put("mains_ripple"))
     made.both("withheld", NO_GAP, put("mains_ripple"))
-    made.both("single", said(cause("tone"), closed=0.9), put("mains_ripple"))
+    made.both("single", gap_diagnosis(cause("tone"), closed=0.9), put("mains_ripple"))
     assert shares(figures(made).row("closure claimed without the right cause")) == (pytest.approx(0.2), 3)
 
 
@@ -293,10 +301,10 @@ def test_probabilities_of_all_reported_causes_are_scored(made: Made) -> None:
     """0.9 right, 0.9 at another sensor and therefore wrong, 0.2 wrong: ECE (2 * 0.4 + 0.2) / 3, Brier 0.86 / 3. Unknown
     mechanisms and removals have no right name, and are not counted.
     """
-    made.both("single", said(cause("tone"), cause("scale", 0.2)), put("mains_ripple"))
-    made.both("single", said(cause("tone", 0.9, "BMA1")), put("mains_ripple"))
+    made.both("single", gap_diagnosis(cause("tone"), cause("scale", 0.2)), put("mains_ripple"))
+    made.both("single", gap_diagnosis(cause("tone", 0.9, "BMA1")), put("mains_ripple"))
     made.both("none", NO_GAP)
-    made.both("unnamed", said(cause("tone", 0.7)), put("single_trap"), resembles=[()])
+    made.both("unnamed", gap_diagnosis(cause("tone", 0.7)), put("single_trap"), resembles=[()])
     score = figures(made)
     assert shares(score.row("calibration error (ECE)")) == (pytest.approx(1 / 3), 3)
     assert shares(score.row("Brier score of causes")) == (pytest.approx(0.86 / 3), 3)
@@ -333,23 +341,23 @@ def test_a_line_of_the_control_is_not_a_line_of_the_case(
     made: Made, parameters: dict[str, float], axes: list[str], is_new: bool
 ) -> None:
     """Another frequency or another axis is another line; the control has 20 Hz on x."""
-    control = made.both("none", said(cause("tone", axes=["x"], parameters={"frequency_hz": 20.0})))
+    control = made.both("none", gap_diagnosis(cause("tone", axes=["x"], parameters={"frequency_hz": 20.0})))
     reported = cause("tone", axes=axes or ["x"], parameters=parameters)
-    made.both("single", said(reported), put("mains_ripple", 5.0), control=control.name)
+    made.both("single", gap_diagnosis(reported), put("mains_ripple", 5.0), control=control.name)
     answer = read_run(made.folder).answers[1]
     assert bool(answer.causes) == is_new
 
 
 def test_an_effect_of_the_recording_itself_is_not_counted(made: Made) -> None:
     """Whether or not it is named in the case; on another axis it is counted."""
-    control = made.both("none", said(cause("popcorn_noise", axes=["x"])))
+    control = made.both("none", gap_diagnosis(cause("popcorn_noise", axes=["x"])))
     for axis in "xy":
         case = made.case("single", put("single_trap", 5.0), control=control.name)
         path = made.folder / "sealed" / f"{case.name}.json"
         table = json.loads(path.read_text())
         table["truth"]["mechanisms"][0]["parameters"] = {"axes": [axis]}
         path.write_text(json.dumps(table))
-        made.answer(case, said(cause("popcorn_noise", axes=[axis])))
+        made.answer(case, gap_diagnosis(cause("popcorn_noise", axes=[axis])))
     run = read_run(made.folder)
     assert [answer.case.number for answer in run.answers] == [1, 3]
     assert run.answers[1].first is not None
@@ -396,7 +404,7 @@ def test_shuffled_labels_are_right_by_chance_only(made: Made) -> None:
         "torn_reads": "glitches",
     }
     for mechanism, effect in 10 * list(names.items()):
-        made.both("single", said(cause(effect)), put(mechanism))
+        made.both("single", gap_diagnosis(cause(effect)), put(mechanism))
     score = figures(made)
     control = score.row("right cause first, labels shuffled")
     assert score.row("right cause first").value == 1.0
@@ -455,7 +463,7 @@ def test_scores_are_written_as_json_and_text(made: Made) -> None:
     """No number that JSON cannot represent; no line over 120 columns; two calls give the same."""
     for number in range(12):
         effect = "tone" if number else "scale" * 40
-        made.both("single", said(cause(effect)), put("mains_ripple", 5.0), oracle=0.9)
+        made.both("single", gap_diagnosis(cause(effect)), put("mains_ripple", 5.0), oracle=0.9)
     made.both("none", NO_GAP)
     made.both("single", RIPPLE, put("crossed_wiring", THERE_OR_NOT))
     score = figures(made)

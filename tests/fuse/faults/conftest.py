@@ -105,7 +105,7 @@ def _run(log: Log, quantity: str, model: Model, effects: Mapping[str, Sequence[E
         step = 2.0 if sensor.chip == "adxl345" else 1.0  # quantisation: an ADXL345 gives only even codes
         known[sensor.name] = replace(known[sensor.name], noise_lsb=np.hypot(rms_lsb, step / 12**0.5))
     calibration = Calibration(known)
-    parts = [found[quantity] for found, _ in aligned(log, calibration)]
+    parts = [result[quantity] for result, _ in aligned(log, calibration)]
     whole = Frames.joined(parts)
     assert log.truth is not None
     felt = np.asarray(getattr(log.truth, quantity))

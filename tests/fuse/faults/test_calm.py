@@ -86,11 +86,11 @@ def test_compiled_windows_equal_those_of_numpy(quantity: str, case: str, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(FaultIsolation, "advance", lambda *_: 0)
         by_numpy = run.monitor()
-        wanted, told = watched(by_numpy, fed)
+        wanted, expected_events = watched(by_numpy, fed)
     assert sum(passed) > 30
     assert (whole.valid == wanted.valid).all()
     assert [(event.time_ns, event.axes, event.state) for event in events] == [
-        (event.time_ns, event.axes, event.state) for event in told
+        (event.time_ns, event.axes, event.state) for event in expected_events
     ]
     ours, theirs = learnt(monitor), learnt(by_numpy)
     for name in ours:

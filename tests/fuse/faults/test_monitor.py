@@ -57,11 +57,11 @@ def test_results_do_not_depend_on_blocks(cuts: list[int]) -> None:
     whole, events = watched(at_rest().monitor(), fed)
     edges = [0, *sorted(cuts), len(fed.time)]
     blocks = [fed.part(slice(start, stop)) for start, stop in pairwise(edges)]
-    joined, found = watched(at_rest().monitor(), *blocks)
+    joined, result = watched(at_rest().monitor(), *blocks)
     assert (joined.valid == whole.valid).all()
     assert (joined.time == fed.time).all()
     assert (joined.values == fed.values).all()
-    assert [event.time_ns for event in found] == [event.time_ns for event in events]
+    assert [event.time_ns for event in result] == [event.time_ns for event in events]
 
 
 @pytest.mark.slow

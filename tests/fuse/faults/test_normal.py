@@ -104,6 +104,6 @@ def test_unmeasured_noise_is_learnt() -> None:
     """Of 50 windows of 10 readings: known to 5 % and better, so to 25 % at five standard deviations."""
     sigma = np.array([0.02, 0.03, 0.05, 0.03, 0.02, 0.05, 0.04, 0.02, 0.03])
     noise = np.random.default_rng(6).normal(0, sigma, (2000, 9))
-    found = np.sqrt(learnt(noise, sigma=np.nan).variance)
-    assert np.median(found / sigma) == pytest.approx(1.0, abs=0.1)
-    assert np.abs(np.log(found / sigma)).max() < np.log(1.5)
+    result = np.sqrt(learnt(noise, sigma=np.nan).variance)
+    assert np.median(result / sigma) == pytest.approx(1.0, abs=0.1)
+    assert np.abs(np.log(result / sigma)).max() < np.log(1.5)

@@ -21,9 +21,9 @@ def drawn(seed: int, sensors: int) -> tuple[Floats, Floats, Floats]:
 
 
 def of(rows: Floats, weights: Floats) -> Parity:
-    found = parity(rows, weights)
-    assert found is not None
-    return found
+    result = parity(rows, weights)
+    assert result is not None
+    return result
 
 
 def squares(rows: Floats, weights: Floats, values: Floats) -> float:

@@ -138,10 +138,10 @@ def slow_log(
 def wander(rng: np.random.Generator, count: int, time_constant_s: float) -> Floats:
     """A Gauss-Markov process of unit variance, in steps of 16 frames."""
     kept = np.exp(-16 * PERIOD_S / time_constant_s)
-    found = [rng.normal()]
+    result = [rng.normal()]
     for _ in range(count // 16 + 1):
-        found.append(kept * found[-1] + np.sqrt(1 - kept**2) * rng.normal())
-    return np.interp(np.arange(count) / 16, np.arange(len(found)), found)
+        result.append(kept * result[-1] + np.sqrt(1 - kept**2) * rng.normal())
+    return np.interp(np.arange(count) / 16, np.arange(len(result)), result)
 
 
 @pytest.mark.slow

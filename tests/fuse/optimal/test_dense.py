@@ -58,8 +58,8 @@ def test_the_smoother_equals_least_squares_of_all_readings(
     frames = {FORCE: frames_of(log.values, valid)}
     estimates = [estimates[FORCE] for _, estimates in optimal.smoothed(lambda: blocks_of(frames, block, log.degc))]
     triads, covariance = dense(log, np.flatnonzero(valid.ravel()))
-    found: Floats = np.concatenate([estimate.triad_box for estimate in estimates])
-    assert found == pytest.approx(triads.reshape(-1, 3), abs=1e-6)
+    result: Floats = np.concatenate([estimate.triad_box for estimate in estimates])
+    assert result == pytest.approx(triads.reshape(-1, 3), abs=1e-6)
     spreads = matrices(np.concatenate([estimate.covariance_box for estimate in estimates]))
     for frame in range(FRAMES):
         at = slice(3 * frame, 3 * frame + 3)

@@ -33,11 +33,13 @@ def model(write_run: WriteRun) -> Callable[..., ErrorModel]:
         changed = {name: replace(one, **changes.get(name, {})) for name, one in known.items()}
         with open_log(write_run(parts, frames=5)) as log:
             sensors: list[SensorLog] = [log[part.name] for part in parts]
-            found = error_model(sensors, Calibration(changed), watched=watched)
+            result = error_model(sensors, Calibration(changed), watched=watched)
             Optimal(
-                {part.quantity: axes_of([log[part.name]], Calibration(changed)) for part in parts}, found, period_s=0.01
+                {part.quantity: axes_of([log[part.name]], Calibration(changed)) for part in parts},
+                result,
+                period_s=0.01,
             )
-            return found
+            return result
 
     return made
 
@@ -50,8 +52,8 @@ def test_measured_figures_are_used(model: Callable[..., ErrorModel]) -> None:
         "thermal": Thermal(np.ones(3), np.array([0.1, 0.2, 0.3]), 25.0, ("bias", "bias", "bias or scale"), "barometer"),
         "temperature_degc": 22.0,
     }
-    found = model(GYRO, Gyro1=measured)
-    of = [found.axes["Gyro1", index] for index in range(3)]
+    result = model(GYRO, Gyro1=measured)
+    of = [result.axes["Gyro1", index] for index in range(3)]
     lsb = 0.01 * DPS  # 100 counts per dps
     assert [one.noise for one in of] == pytest.approx([17 * lsb] * 3)
     # in addition, Table 4: 0.0083 dps of 1 g, which is not measured here
@@ -69,10 +71,10 @@ def test_a_covariance_of_biases_replaces_their_standard_errors(model: Callable[.
         "bias_covariance_lsb2": covariance,
         "turn_on": TurnOn(np.full(3, 6.0), np.full(3, 8.0), np.zeros(3), np.zeros(3), 15),
     }
-    found = model(BMA, BMA1=measured)
+    result = model(BMA, BMA1=measured)
     lsb = G / 2048
-    assert found.bias_covariances["BMA1"] == pytest.approx(covariance * lsb**2)
-    assert found.axes["BMA1", 0].bias == pytest.approx(10 * lsb)
+    assert result.bias_covariances["BMA1"] == pytest.approx(covariance * lsb**2)
+    assert result.axes["BMA1", 0].bias == pytest.approx(10 * lsb)
 
 
 def test_two_states_of_a_bias_widen_its_uncertainty(model: Callable[..., ErrorModel]) -> None:
@@ -82,39 +84,39 @@ def test_two_states_of_a_bias_widen_its_uncertainty(model: Callable[..., ErrorMo
     states = tuple(BiasState(np.array([bias, 0.0, 0.0]), 0.5) for bias in (100.0, 112.0))
     turn_on = TurnOn(np.full(3, 3.0), np.full(3, 4.0), np.zeros(3), np.zeros(3), 15, states)
     measured = {"bias_sem_lsb": np.zeros(3), "turn_on": turn_on, "g_sensitivity_sem_lsb_per_g": np.full((3, 3), 2.0)}
-    found = model(GYRO, Gyro1=measured)
-    assert found.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(25 + 72 + 4) * 0.01 * DPS)
-    assert found.axes["Gyro1", 1].bias == pytest.approx(np.sqrt(25 + 4) * 0.01 * DPS)
+    result = model(GYRO, Gyro1=measured)
+    assert result.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(25 + 72 + 4) * 0.01 * DPS)
+    assert result.axes["Gyro1", 1].bias == pytest.approx(np.sqrt(25 + 4) * 0.01 * DPS)
 
 
 def test_figures_that_were_not_measured_are_those_of_the_population(model: Callable[..., ErrorModel]) -> None:
     """Table 11's turn-on: a sixth of a gyroscope's noise; Table 8's slopes, 0.8 of their square common."""
-    found = model(GYRO, OTHER, Gyro1={"bias_sem_lsb": np.zeros(3)})
-    calibrated, raw = found.axes["Gyro1", 1], found.axes["Gyro2", 1]
+    result = model(GYRO, OTHER, Gyro1={"bias_sem_lsb": np.zeros(3)})
+    calibrated, raw = result.axes["Gyro1", 1], result.axes["Gyro2", 1]
     assert calibrated.bias == pytest.approx(np.hypot(0.17 * 0.17, 0.0083) * DPS)
     assert raw.bias == pytest.approx(0.84 * DPS)
     assert calibrated.slope_per_degc == pytest.approx(0.022 * np.sqrt(0.2) * DPS)
     assert calibrated.response == pytest.approx(0.02)
     assert calibrated.drift == pytest.approx(0.04 * 0.17 * DPS)
-    design = found.designs["l3g4200d", 1]
+    design = result.designs["l3g4200d", 1]
     assert design.slope_per_degc == pytest.approx(0.022 * np.sqrt(0.8) * DPS)
     assert design.common == pytest.approx(0.04 * 0.17 * DPS)  # of its quieter unit
 
 
 def test_without_a_thermometer_slopes_become_drift(model: Callable[..., ErrorModel]) -> None:
-    found = model(GYRO, watched=())
-    assert found.axes["Gyro1", 0].slope_per_degc == found.designs["l3g4200d", 0].slope_per_degc == 0.0
-    assert found.axes["Gyro1", 0].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.2)) * DPS)
-    assert found.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.8)) * DPS)
+    result = model(GYRO, watched=())
+    assert result.axes["Gyro1", 0].slope_per_degc == result.designs["l3g4200d", 0].slope_per_degc == 0.0
+    assert result.axes["Gyro1", 0].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.2)) * DPS)
+    assert result.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.8)) * DPS)
 
 
 def test_known_slopes_become_drift_without_a_thermometer(model: Callable[..., ErrorModel]) -> None:
     """A slope of 4 counts and its standard error of 3, over 3 degC."""
     thermal = Thermal(np.full(3, 4.0), np.full(3, 3.0), 25.0, ("bias",) * 3, "barometer")
-    found = model(GYRO, OTHER, watched=["Gyro2"], Gyro1={"thermal": thermal}, Gyro2={"thermal": thermal})
-    assert found.axes["Gyro1", 2].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 5 * 0.01) * DPS)
-    assert found.axes["Gyro2", 2].drift == pytest.approx(0.04 * 0.34 * DPS)
-    assert found.axes["Gyro2", 2].slope_per_degc == pytest.approx(3 * 0.01 * DPS)
+    result = model(GYRO, OTHER, watched=["Gyro2"], Gyro1={"thermal": thermal}, Gyro2={"thermal": thermal})
+    assert result.axes["Gyro1", 2].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 5 * 0.01) * DPS)
+    assert result.axes["Gyro2", 2].drift == pytest.approx(0.04 * 0.34 * DPS)
+    assert result.axes["Gyro2", 2].slope_per_degc == pytest.approx(3 * 0.01 * DPS)
 
 
 @pytest.mark.parametrize("noise", [None, np.array([1.0, 0.0, 1.0])])
@@ -130,10 +132,10 @@ def test_measured_noise_correlation_and_drift_are_used(model: Callable[..., Erro
     from imuarray.calibrate import stability
 
     drift = stability.Drift(np.array([3.0, 0, 0]), np.array([4.0, 1, 1]), 250.0)
-    found = model(BMA, BMA1={"noise_correlation": np.array([0.4, -0.1, 0.0]), "drift": drift})
-    assert [found.axes["BMA1", index].correlation for index in range(3)] == [0.4, 0.0, 0.0]
-    assert found.axes["BMA1", 0].drift == pytest.approx(5 * G / 2048)
-    assert found.axes["BMA1", 0].drift_time_constant_s == 250.0
+    result = model(BMA, BMA1={"noise_correlation": np.array([0.4, -0.1, 0.0]), "drift": drift})
+    assert [result.axes["BMA1", index].correlation for index in range(3)] == [0.4, 0.0, 0.0]
+    assert result.axes["BMA1", 0].drift == pytest.approx(5 * G / 2048)
+    assert result.axes["BMA1", 0].drift_time_constant_s == 250.0
 
 
 def test_exactly_known_figures_have_no_added_error(model: Callable[..., ErrorModel]) -> None:
@@ -147,10 +149,10 @@ def test_exactly_known_figures_have_no_added_error(model: Callable[..., ErrorMod
         "thermal": Thermal(np.ones(3), zero, 25.0, ("bias",) * 3, "barometer"),
         "drift": Drift(zero, zero, 600.0),
     }
-    found = model(GYRO, OTHER, BMA, Gyro1=known, Gyro2=known, BMA1=known)
-    for errors in found.axes.values():
+    result = model(GYRO, OTHER, BMA, Gyro1=known, Gyro2=known, BMA1=known)
+    for errors in result.axes.values():
         assert (errors.bias, errors.drift, errors.slope_per_degc, errors.response) == (0, 0, 0, 0)
-    assert {(design.common, design.slope_per_degc) for design in found.designs.values()} == {(0, 0)}
+    assert {(design.common, design.slope_per_degc) for design in result.designs.values()} == {(0, 0)}
 
 
 def test_a_measured_response_has_an_allowance_for_change(model: Callable[..., ErrorModel]) -> None:
@@ -166,10 +168,10 @@ def test_units_without_measured_drift_share_that_of_the_design(
         "drift": Drift(np.full(3, 5.0), np.zeros(3), 600.0),
         "thermal": Thermal(np.ones(3), np.full(3, 3.0), 25.0, ("bias",) * 3, "barometer"),
     }
-    found = model(GYRO, OTHER, Gyro1=measured)
-    assert not (found.axes["Gyro1", 0].shares_wander or found.axes["Gyro1", 0].shares_slope)
-    assert found.axes["Gyro2", 0].shares_wander and found.axes["Gyro2", 0].shares_slope
-    design = found.designs["l3g4200d", 0]
+    result = model(GYRO, OTHER, Gyro1=measured)
+    assert not (result.axes["Gyro1", 0].shares_wander or result.axes["Gyro1", 0].shares_slope)
+    assert result.axes["Gyro2", 0].shares_wander and result.axes["Gyro2", 0].shares_slope
+    design = result.designs["l3g4200d", 0]
     assert design.slope_per_degc == pytest.approx(0.022 * np.sqrt(0.8) * DPS)
     assert design.common == pytest.approx(0.04 * 0.34 * DPS)
 
@@ -184,9 +186,9 @@ def test_the_bias_error_includes_turn_on_of_the_calibration_logs(model: Callable
         "drift": Drift(np.full(3, 3.0), zero, 600.0),
         "provenance": {"bias": Provenance(("a.h5", "b.h5"))},
     }
-    found = model(GYRO, Gyro1=measured)
-    assert found.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(16 + 25 / 2) * 0.01 * DPS)
-    assert found.axes["Gyro1", 0].drift == pytest.approx(3 * 0.01 * DPS)
+    result = model(GYRO, Gyro1=measured)
+    assert result.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(16 + 25 / 2) * 0.01 * DPS)
+    assert result.axes["Gyro1", 0].drift == pytest.approx(3 * 0.01 * DPS)
 
 
 TURNED = [GYRO._replace(name=f"Gyro{number}", axes="+X+Y+Z", sigma=0.05) for number in (1, 2, 3, 4)]

@@ -54,8 +54,8 @@ def test_euler_and_centripetal_terms_are_removed() -> None:
     frames, force, _ = turning(axes)
     estimate = Optimal(axes, model, period_s=PERIOD_S)(frames)[FORCE]
     error = (estimate.triad_box - force)[10:]
-    told = matrices(estimate.covariance_box)[10:]
-    squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(told), error)
+    covariance = matrices(estimate.covariance_box)[10:]
+    squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     # 4000 squares of three determine a mean to 1.3 %, 99.9 % of the time within 4.3 %; neighbours correlate a little
     assert squares.mean() == pytest.approx(3.0, rel=0.07)
     values = frames[FORCE].values
@@ -71,12 +71,12 @@ def test_accelerometers_determine_angular_acceleration_better_than_gyroscopes() 
     frames, _, acceleration = turning(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S)
     optimal(frames)
-    told = optimal.angular_acceleration
-    assert told is not None
-    error = (told.triad_box - acceleration)[10:]
+    estimate = optimal.angular_acceleration
+    assert estimate is not None
+    error = (estimate.triad_box - acceleration)[10:]
     alone = 0.002 / np.sqrt(2) * np.sqrt(6.5) / PERIOD_S
     assert error.std(axis=0).max() < 0.9 * alone
-    assert error.std(axis=0) == pytest.approx(np.sqrt(told.covariance_box[10:, :3].mean(axis=0)), rel=0.05)
+    assert error.std(axis=0) == pytest.approx(np.sqrt(estimate.covariance_box[10:, :3].mean(axis=0)), rel=0.05)
 
 
 def test_a_single_accelerometer_uses_the_gyroscopes() -> None:

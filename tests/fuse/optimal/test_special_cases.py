@@ -97,8 +97,8 @@ def test_a_wrong_scale_factor_is_learned_from_the_motion() -> None:
     # in the mean it would be a quarter of 3 %
     assert abs(error @ truth[3000:, 0] / (truth[3000:, 0] @ truth[3000:, 0])) < 0.0004
     # Stated and true variance agree: 3000 squares determine a variance to 2.6 %, 99.9 % of the time within 8.5 %
-    told = estimate.covariance_box[3000:, 0].mean()
-    assert np.mean(error**2) == pytest.approx(told, rel=0.085)
+    variance = estimate.covariance_box[3000:, 0].mean()
+    assert np.mean(error**2) == pytest.approx(variance, rel=0.085)
 
 
 def test_uncertain_directions_widen_the_covariance_with_the_signal() -> None:

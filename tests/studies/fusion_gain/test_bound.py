@@ -42,9 +42,9 @@ def on(axis: int, rms: float, law: ErrorLaw, **kind: float) -> SlowError:
 def test_the_bound_of_equal_axes_with_white_noise(count: int) -> None:
     """sigma / sqrt(n), for any number of frames."""
     law = triads([0.3] * count)
-    found = bound(law, stretches(law, [0.0, 5.0], frames=7))
-    assert found.causal_rms == pytest.approx([0.3 / np.sqrt(count)] * 3)
-    assert found.smoothed_rms == pytest.approx([0.3 / np.sqrt(count)] * 3)
+    result = bound(law, stretches(law, [0.0, 5.0], frames=7))
+    assert result.causal_rms == pytest.approx([0.3 / np.sqrt(count)] * 3)
+    assert result.smoothed_rms == pytest.approx([0.3 / np.sqrt(count)] * 3)
 
 
 def test_the_bound_of_two_ranges_is_that_of_inverse_variance() -> None:
@@ -68,11 +68,11 @@ def test_the_bound_with_a_constant_error_of_one_of_two_sensors() -> None:
     """
     law = triads([0.5, 0.5])
     law = triads([0.5, 0.5], (on(0, 1.0, law),))
-    found = bound(law, stretches(law, [0.0, 1.0], frames=10))
+    result = bound(law, stretches(law, [0.0, 1.0], frames=10))
     left = [1 / (1 + frames / (2 * 0.5**2)) for frames in (10, 20)]
-    assert found.causal[:, 0, 0] == pytest.approx([0.125 + part / 4 for part in left])
-    assert found.smoothed[:, 0, 0] == pytest.approx([0.125 + left[1] / 4] * 2)
-    assert found.causal[:, 1, 1] == pytest.approx([0.125] * 2)
+    assert result.causal[:, 0, 0] == pytest.approx([0.125 + part / 4 for part in left])
+    assert result.smoothed[:, 0, 0] == pytest.approx([0.125 + left[1] / 4] * 2)
+    assert result.causal[:, 1, 1] == pytest.approx([0.125] * 2)
 
 
 def test_the_bound_with_gauss_markov_errors_of_two_sensors() -> None:
@@ -83,19 +83,19 @@ def test_the_bound_with_gauss_markov_errors_of_two_sensors() -> None:
     """
     base = triads([0.5, 0.5])
     law = triads([0.5, 0.5], (on(0, 0.2, base, time_constant_s=30.0), on(3, 0.2, base, time_constant_s=30.0)))
-    found = bound(law, stretches(law, [0.0, 10.0, 50.0]))
-    assert found.causal[:, 0, 0] == pytest.approx([(0.25 + 0.04) / 2] * 3)
-    assert found.smoothed[:, 0, 0] == pytest.approx([(0.25 + 0.04) / 2] * 3)
+    result = bound(law, stretches(law, [0.0, 10.0, 50.0]))
+    assert result.causal[:, 0, 0] == pytest.approx([(0.25 + 0.04) / 2] * 3)
+    assert result.smoothed[:, 0, 0] == pytest.approx([(0.25 + 0.04) / 2] * 3)
 
     law = triads([0.5, 0.5], (on(0, 0.2, base, time_constant_s=30.0),))
-    found = bound(law, stretches(law, [0.0, 30.0], frames=4))
+    result = bound(law, stretches(law, [0.0, 30.0], frames=4))
     noise, prior, lagged = 2 * 0.25 / 4, 0.04, 0.04 * np.exp(-1)  # of the difference; of the error; over 30 s
     first = prior - prior**2 / (prior + noise)
     given = np.array([[prior + noise, lagged], [lagged, prior + noise]])
     with_past = np.array([lagged, prior])
     second = prior - with_past @ np.linalg.solve(given, with_past)
-    assert found.causal[:, 0, 0] == pytest.approx([0.125 + first / 4, 0.125 + second / 4])
-    assert found.smoothed[:, 0, 0] == pytest.approx([0.125 + second / 4] * 2)
+    assert result.causal[:, 0, 0] == pytest.approx([0.125 + first / 4, 0.125 + second / 4])
+    assert result.smoothed[:, 0, 0] == pytest.approx([0.125 + second / 4] * 2)
 
 
 def test_a_common_error_is_observable_by_opposing_axes_only() -> None:
@@ -113,8 +113,8 @@ def test_the_bound_with_a_thermal_slope() -> None:
     """Slope ~ N(0, 0.1^2) on one axis of two, 10 degC from the reference: a constant of rms 1."""
     base = triads([0.5, 0.5])
     law = triads([0.5, 0.5], (on(0, 0.1, base, per_degc=25.0),))
-    found = bound(law, stretches(law, [0.0, 1.0], frames=10, degc=[25.0, 35.0]))
-    assert found.smoothed[:, 0, 0] == pytest.approx([0.125, 0.125 + 1 / (1 + 10 / 0.5) / 4])
+    result = bound(law, stretches(law, [0.0, 1.0], frames=10, degc=[25.0, 35.0]))
+    assert result.smoothed[:, 0, 0] == pytest.approx([0.125, 0.125 + 1 / (1 + 10 / 0.5) / 4])
 
 
 def test_aggregation_loses_nothing() -> None:
@@ -129,8 +129,8 @@ def test_axes_without_a_reading_have_no_weight() -> None:
     law = triads([0.3, 0.4])
     one = np.repeat([True, False], 3)
     both = np.ones(6, bool)
-    found = bound(law, [BoundStretch(0.0, (StretchReadings(both, 30), StretchReadings(one, 10)))])
-    assert found.causal_rms**2 == pytest.approx([(30 * 0.24**2 + 10 * 0.3**2) / 40] * 3)
+    result = bound(law, [BoundStretch(0.0, (StretchReadings(both, 30), StretchReadings(one, 10)))])
+    assert result.causal_rms**2 == pytest.approx([(30 * 0.24**2 + 10 * 0.3**2) / 40] * 3)
     with pytest.raises(FusionError, match="2 of 6 axes known"):
         bound(law, [BoundStretch(0.0, (StretchReadings(np.arange(6) < 2, 5),))])
 
@@ -179,9 +179,9 @@ def test_the_posterior_mean_reaches_the_bound() -> None:
             BoundStretch(t, (StretchReadings(np.ones(9, bool), 5, mean),))
             for t, mean in zip(times.tolist(), means, strict=True)
         ]
-        found = bound(law, seen)
-        for row, known in enumerate((found.slow_causal, found.slow_smoothed)):
+        result = bound(law, seen)
+        for row, known in enumerate((result.slow_causal, result.slow_smoothed)):
             squares[row, run] = np.mean(((errors - known) @ weights.T) ** 2)
     alone = np.trace(frame_weights(law, np.ones(9, bool))[1]) / 3
-    stated = [np.mean(rms**2) - alone for rms in (found.causal_rms, found.smoothed_rms)]
+    stated = [np.mean(rms**2) - alone for rms in (result.causal_rms, result.smoothed_rms)]
     assert np.sqrt(squares.mean(axis=1) / stated) == pytest.approx([1.0, 1.0], abs=4 * 0.024)

@@ -113,24 +113,24 @@ def test_opposed_gyroscopes_drift_less_while_heated(tmp_path: Path) -> None:
         techniques = ("mean", "opposed", OPTIMAL) if seed == 1 else ("mean", "opposed")
         with open_log(path) as log:
             calibration, _ = start_up_states(log, known)
-            found = [_drifts(log, calibration, technique) for technique in techniques]
-        x, y, z = np.abs(found[1][0] / found[0][0])
+            result = [_drifts(log, calibration, technique) for technique in techniques]
+        x, y, z = np.abs(result[1][0] / result[0][0])
         assert y <= 0.1 and max(x, z) <= 1.01
-        squares += [minutes for _, minutes in found[:2]]
-        for slope, minutes in found[2:]:
-            assert abs(slope[1]) <= 0.1 * abs(found[0][0][1]) and minutes[1] <= 0.1**2 * found[0][1][1]
-            assert minutes.sum() <= found[1][1].sum()
+        squares += [minutes for _, minutes in result[:2]]
+        for slope, minutes in result[2:]:
+            assert abs(slope[1]) <= 0.1 * abs(result[0][0][1]) and minutes[1] <= 0.1**2 * result[0][1][1]
+            assert minutes.sum() <= result[1][1].sum()
     assert squares[1, 1] <= 0.1**2 * squares[0, 1]
 
 
 def _drifts(log: Log, calibration: Calibration, technique: str) -> tuple[np.ndarray, np.ndarray]:
     """(3,) slopes of the error with the true temperature, and (3,) mean squares of minutes minus the first."""
-    found = error_frames(log, fuse(log, calibration, technique))["angular_rate"]
+    result = error_frames(log, fuse(log, calibration, technique))["angular_rate"]
     truth = log.truth
     assert truth is not None and truth.temperature is not None
-    degc = np.interp(found.time, truth.time[:], truth.temperature[:])
-    minutes = np.array([part.mean(axis=0) for part in np.array_split(found.errors, 110)])
-    return np.polyfit(degc, found.errors, 1)[0], np.mean((minutes - minutes[0]) ** 2, axis=0)
+    degc = np.interp(result.time, truth.time[:], truth.temperature[:])
+    minutes = np.array([part.mean(axis=0) for part in np.array_split(result.errors, 110)])
+    return np.polyfit(degc, result.errors, 1)[0], np.mean((minutes - minutes[0]) ** 2, axis=0)
 
 
 def test_noise_of_planes_with_perpendicular_boards(study_of: StudyOf) -> None:

@@ -31,7 +31,7 @@ def errors_along_axes(
     calibration = true_calibration(headers, effects)
     with open_log(folder / "run.h5") as log:
         names = [sensor.name for sensor in log.of(quantity)]
-        parts = [found[quantity] for found, _ in aligned(log, calibration, only=names)]
+        parts = [result[quantity] for result, _ in aligned(log, calibration, only=names)]
         part = Frames.joined(parts)
         truth = log.truth
         assert truth is not None

@@ -21,13 +21,13 @@ def series(counts: np.ndarray) -> Series:
 def test_the_moving_average_of_a_ramp_is_the_ramp() -> None:
     rows = 20_000
     ramp = np.outer(np.arange(rows), [1.0, -0.5, 0.0])
-    found = smoothed(series(np.floor(ramp)), window_s=40.0, step_s=2.0)
-    middle = found.seconds * RATE
-    np.testing.assert_allclose(found.lsb[:, 0], middle - (rows - 1) / 2, atol=1e-6)
-    np.testing.assert_allclose(found.lsb[:, 1], -(middle - (rows - 1) / 2) / 2, atol=0.5)  # halves are rounded
-    assert not found.lsb[:, 2].any()
-    assert found.seconds[0] == pytest.approx(19.99)  # the middle of 2000 rows
-    assert np.diff(found.seconds) == pytest.approx(2.0)
+    result = smoothed(series(np.floor(ramp)), window_s=40.0, step_s=2.0)
+    middle = result.seconds * RATE
+    np.testing.assert_allclose(result.lsb[:, 0], middle - (rows - 1) / 2, atol=1e-6)
+    np.testing.assert_allclose(result.lsb[:, 1], -(middle - (rows - 1) / 2) / 2, atol=0.5)  # halves are rounded
+    assert not result.lsb[:, 2].any()
+    assert result.seconds[0] == pytest.approx(19.99)  # the middle of 2000 rows
+    assert np.diff(result.seconds) == pytest.approx(2.0)
 
 
 def test_the_rate_of_a_series() -> None:
@@ -50,11 +50,11 @@ def test_a_stored_sensor_returns_the_rows_read() -> None:
 
 def test_the_heating_is_that_of_the_paper() -> None:
     """24 degC for five minutes, 42 to 43 after ten, about 52 after twenty, 110 minutes in all (section 5.2.5)."""
-    found = profile(60.0)
-    assert found.seconds[-1] == 110 * 60
-    assert found.lsb[[0, 5], 0] == pytest.approx(24)
-    assert 42 <= found.lsb[10, 0] <= 43
-    assert found.lsb[20, 0] == pytest.approx(52, abs=0.5) == pytest.approx(found.lsb.max(), abs=0.5)
+    result = profile(60.0)
+    assert result.seconds[-1] == 110 * 60
+    assert result.lsb[[0, 5], 0] == pytest.approx(24)
+    assert 42 <= result.lsb[10, 0] <= 43
+    assert result.lsb[20, 0] == pytest.approx(52, abs=0.5) == pytest.approx(result.lsb.max(), abs=0.5)
 
 
 def test_density_of_white_noise_and_of_a_line() -> None:
@@ -82,8 +82,8 @@ def test_correlogram_of_first_order_noise() -> None:
     noise = random.standard_normal((100_000, 3)) * sqrt(1 - 0.16)
     for row in range(1, len(noise)):
         noise[row] += 0.4 * noise[row - 1]
-    found = correlogram(np.rint(noise * 500).astype(np.int16))
-    np.testing.assert_allclose(found, np.repeat(0.4 ** np.arange(31)[:, None], 3, axis=1), atol=0.02)
+    result = correlogram(np.rint(noise * 500).astype(np.int16))
+    np.testing.assert_allclose(result, np.repeat(0.4 ** np.arange(31)[:, None], 3, axis=1), atol=0.02)
 
 
 def test_histogram_counts_every_code() -> None:

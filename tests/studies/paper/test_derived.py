@@ -31,9 +31,9 @@ def test_readings_from_the_narrowest_rows() -> None:
         runs: ((61.6805 / 0.5085) ** 2, (44.1175 / 0.3635) ** 2),  # BMA4 y, x
         windows: ((62.4315 / 0.5185) ** 2, (51.6305 / 0.4285) ** 2),  # BMA4 y, BMA3 y
     }
-    for found, (least, most) in ends.items():
-        assert (float(found.least), float(found.most)) == (pytest.approx(least), pytest.approx(most))
-        assert found.as_json()["agree"] is True
+    for result, (least, most) in ends.items():
+        assert (float(result.least), float(result.most)) == (pytest.approx(least), pytest.approx(most))
+        assert result.as_json()["agree"] is True
     assert float(runs.rate_hz or 0) == pytest.approx(49.07, abs=0.03)
     assert float(windows.rate_hz or 0) == pytest.approx(48.36, abs=0.04)
     assert float(slow.seconds or 0) == pytest.approx(1378.3, abs=1.2)
@@ -64,13 +64,16 @@ def test_possible_and_expected_ranges_over_deviations() -> None:
 
     The normal mean by 200 000 draws: standard error 0.36 / sqrt(200 000), five of them are allowed (1 in 10^6).
     """
-    found = range_over_deviation()
-    assert (found["least"], found["most"]) == (pytest.approx(sqrt(15 / 4), abs=6e-4), pytest.approx(sqrt(28), abs=6e-4))
-    assert found["possible"] == [64, 68]
+    result = range_over_deviation()
+    assert (result["least"], result["most"]) == (
+        pytest.approx(sqrt(15 / 4), abs=6e-4),
+        pytest.approx(sqrt(28), abs=6e-4),
+    )
+    assert result["possible"] == [64, 68]
     drawn = np.random.default_rng(11).standard_normal((200_000, 15))
     ratios = np.ptp(drawn, axis=1) / drawn.std(axis=1, ddof=1)
-    assert found["normal"] == pytest.approx(float(ratios.mean()), abs=5 * 0.36 / sqrt(200_000) + 5e-4)
-    rows = {(row["channel"], row["half"]): row for row in found["rows"]}
+    assert result["normal"] == pytest.approx(float(ratios.mean()), abs=5 * 0.36 / sqrt(200_000) + 5e-4)
+    rows = {(row["channel"], row["half"]): row for row in result["rows"]}
     assert rows["ADXL1 x", "cont"]["range_over_deviation"] == pytest.approx(0.162 / 0.044, abs=6e-4)
     assert {channel for (channel, _), row in rows.items() if not row["possible"]} == {"BMA1 t", "BMA2 t", "BMA4 t"}
 
@@ -92,12 +95,12 @@ STRAYS = {
 
 
 def test_figures_of_the_text_that_differ_from_the_tables() -> None:
-    found = {}
+    result = {}
     for row in stated():
         (cell,) = row.cells
         if not cell.matches:
-            found[row.row["table"], row.row["channel"]] = (cell.printed, cell.value, cell.within_input_rounding)
-    assert found == STRAYS
+            result[row.row["table"], row.row["channel"]] = (cell.printed, cell.value, cell.within_input_rounding)
+    assert result == STRAYS
     assert tally(stated()) == {"value": [23, 35]}
 
 
@@ -124,4 +127,4 @@ def test_derived_rows_of_the_object() -> None:
     }
     slower = result["stated"][0]
     assert (slower["difference"], slower["matches"], slower["within_input_rounding"]) == (-4.7, False, False)
-    assert [found["log"] for found in result["readings"]] == ["250dps", "2k dps", "runs", "cont"]
+    assert [outcome["log"] for outcome in result["readings"]] == ["250dps", "2k dps", "runs", "cont"]

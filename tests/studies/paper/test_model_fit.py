@@ -199,10 +199,10 @@ def test_noise_before_rounding_is_recovered(rms: float) -> None:
 
 
 def test_the_prediction_of_a_third_unit_from_two() -> None:
-    found = spread(np.array([[1.0, 2.0], [3.0, 4.0]]), count=2)
-    assert (found.mean, found.limit) == (2.5, None)
-    assert found.shared == pytest.approx(1 / 3)
-    assert found.sigma == pytest.approx(sqrt(5 / 3) * sqrt(1.5))
+    result = spread(np.array([[1.0, 2.0], [3.0, 4.0]]), count=2)
+    assert (result.mean, result.limit) == (2.5, None)
+    assert result.shared == pytest.approx(1 / 3)
+    assert result.sigma == pytest.approx(sqrt(5 / 3) * sqrt(1.5))
     assert spread(np.array([1.0, 3.0]), count=2, positive=True).limit == 2.0  # sqrt(2) sqrt(1.5) thrice is beyond 0
     assert about_zero(np.array([3.0, -4.0]), count=3).sigma == pytest.approx(sqrt(12.5) * sqrt(4 / 3))
 
@@ -224,10 +224,10 @@ def test_virtual_units_are_drawn_with_common_design_errors() -> None:
 
 def test_the_faults_belong_to_single_units() -> None:
     model = parse_model(fit_text())
-    found = {name: model.parts(header_of(array[name], {})) for name in ("BMA1", "BMA2", "Gyro1", "Gyro3")}
-    assert "range_reset" in found["BMA1"]
-    assert "range_reset" not in found["BMA2"]
-    assert "bistable_bias" in found["Gyro3"]
-    assert "bistable_bias" not in found["Gyro1"]
+    result = {name: model.parts(header_of(array[name], {})) for name in ("BMA1", "BMA2", "Gyro1", "Gyro3")}
+    assert "range_reset" in result["BMA1"]
+    assert "range_reset" not in result["BMA2"]
+    assert "bistable_bias" in result["Gyro3"]
+    assert "bistable_bias" not in result["Gyro1"]
     at_250 = model.parts(SimpleNamespace(chip="l3g4200d", name="Gyro1", range=250.0, unit="dps"))  # type: ignore[arg-type]
     assert (at_250["bias"].range, at_250["white_noise"].range) == (250.0, None)

@@ -85,11 +85,11 @@ def test_numbers_have_their_printed_digits(page: Page) -> None:
 
 @pytest.mark.slow
 def test_difference_and_z_of_a_row_by_hand(made: Made, page: Page) -> None:
-    (found,) = (row for row in made.replica.of("Table 8") if (row.channel, row.statistic[:5]) == ("Gyro1 y", "slope"))
+    (result,) = (row for row in made.replica.of("Table 8") if (row.channel, row.statistic[:5]) == ("Gyro1 y", "slope"))
     (row,) = (row for row in page.of("Table 8") if row[:2] == ["Gyro1 y", "slope_lsb_per_degc"])
     assert row[2] == "0.265"
     assert float(row[4]) == pytest.approx(float(row[3]) - 0.265, abs=2e-4)
-    assert float(row[5]) == pytest.approx((found.simulated - 0.265) / found.uncertainty, abs=0.06)
+    assert float(row[5]) == pytest.approx((result.simulated - 0.265) / result.uncertainty, abs=0.06)
 
 
 @pytest.mark.slow
@@ -151,8 +151,8 @@ def test_a_page_without_curves_states_it(made: Made, tmp_path: Path) -> None:
 def test_axes_have_units_and_lines_their_expected_positions(made: Made) -> None:
     drawn = temperature_figure(made.curves, "Gyro2 x", 0.521, 5.67).axes[0]
     ours, theirs = (line for line in drawn.get_lines() if len(line.get_xdata()) == 2)
-    found = made.observed.heated["Gyro2"]
-    for line, slope, intercept in ((ours, found.slope[0], found.intercept[0]), (theirs, 0.521, 5.67)):
+    result = made.observed.heated["Gyro2"]
+    for line, slope, intercept in ((ours, result.slope[0], result.intercept[0]), (theirs, 0.521, 5.67)):
         np.testing.assert_allclose(line.get_ydata(), slope * np.asarray(line.get_xdata()) + intercept)
     labels = [drawn.get_xlabel(), drawn.get_ylabel()]
     for figure in (opposed_figure(made.curves), gyro_memory_figure(made.curves)):

@@ -90,9 +90,9 @@ def test_the_expected_interval_covers_19_of_20() -> None:
 def test_the_summary_counts_all_and_tests_independent_statistics() -> None:
     rows = [of("", 0, z) for z in (0.5, -1.5, 2.5, 4.0)]
     derived = Statistic(*AT, 0.0, 10.0, 1.0, "", derived=True)
-    found = summary([*rows, derived])
-    assert (found.count, found.within, found.independent, found.degrees) == (5, (1, 2, 3), 4, 4)
-    assert found.chi_square == pytest.approx((0.25 + 2.25 + 6.25 + 16) / 4)
+    result = summary([*rows, derived])
+    assert (result.count, result.within, result.independent, result.degrees) == (5, (1, 2, 3), 4, 4)
+    assert result.chi_square == pytest.approx((0.25 + 2.25 + 6.25 + 16) / 4)
 
 
 def test_scatter_of_a_deviation_is_that_of_chi() -> None:
@@ -147,11 +147,11 @@ def test_windows_across_blocks_are_complete() -> None:
     counts = random.integers(-8192, 8191, (150_000, 3)).astype(np.int16)
     told = random.integers(-128, 127, 150_000).astype(np.int16)
     spans = [(0, 100 * 10**6), (60_000 * 10**6, 140_000 * 10**6)]
-    for (start, stop), found in zip(spans, windows(Canned(counts, told), spans), strict=True):
+    for (start, stop), result in zip(spans, windows(Canned(counts, told), spans), strict=True):
         rows = np.column_stack([counts, told])[start // 10**6 : stop // 10**6].astype(float)
-        assert found.rows == len(rows)
-        np.testing.assert_allclose(found.mean, rows.mean(axis=0), rtol=1e-9)
-        np.testing.assert_allclose(found.std, rows.std(axis=0, ddof=1), rtol=1e-9)
+        assert result.rows == len(rows)
+        np.testing.assert_allclose(result.mean, rows.mean(axis=0), rtol=1e-9)
+        np.testing.assert_allclose(result.std, rows.std(axis=0, ddof=1), rtol=1e-9)
     assert np.isnan(windows(Canned(counts, None), spans)[0].mean[3])
 
 
@@ -159,9 +159,9 @@ def test_the_slope_and_residual_over_temperature() -> None:
     motion = Heating(scale=1 / 60)  # 110 s
     degc = np.asarray(motion.felt(np.arange(110_000, dtype=np.int64) * 10**6).temperature_degc)
     counts = np.rint(np.outer(degc, [2.0, -3.0, 0.0]) * 100 + [7, 0, 5]).astype(np.int16)
-    found = line(Canned(counts, None), motion)
-    np.testing.assert_allclose(found.slope, [200, -300, 0], atol=1e-2)
-    np.testing.assert_allclose(found.intercept, [7, 0, 5], atol=0.3)
+    result = line(Canned(counts, None), motion)
+    np.testing.assert_allclose(result.slope, [200, -300, 0], atol=1e-2)
+    np.testing.assert_allclose(result.intercept, [7, 0, 5], atol=0.3)
 
 
 @pytest.mark.slow
@@ -191,10 +191,10 @@ def test_temperatures_of_runs_are_those_of_the_barometer() -> None:
 @pytest.fixture(scope="module")
 def replica() -> Replica:
     told: list[tuple[int, int, str]] = []
-    found = Replica(1, tuple(compare(observe(1, progress=lambda *news: told.append(news)))))
+    result = Replica(1, tuple(compare(observe(1, progress=lambda *news: told.append(news)))))
     assert told[0][:2] == (1, 21)
     assert told[-1] == (21, 21, "run 15")
-    return found
+    return result
 
 
 @pytest.mark.slow
@@ -213,9 +213,9 @@ def test_the_replica_has_every_statistic(replica: Replica) -> None:
 @pytest.mark.slow
 def test_the_array_reproduces_the_tables(replica: Replica) -> None:
     """Chi-square of all axes inside its 95 % interval, for this seed; a true model fails for 1 seed in 20."""
-    found = summary([row for row in replica.statistics if " t" not in row.channel])
-    assert found.expected[0] < found.chi_square < found.expected[1]
-    assert found.independent > 500
+    result = summary([row for row in replica.statistics if " t" not in row.channel])
+    assert result.expected[0] < result.chi_square < result.expected[1]
+    assert result.independent > 500
 
 
 @pytest.mark.slow
@@ -239,10 +239,10 @@ def test_large_deviations_are_listed(replica: Replica) -> None:
 
 @pytest.mark.slow
 def test_the_replica_is_written_as_json(replica: Replica) -> None:
-    found = json.loads(json.dumps(replica.as_json(), allow_nan=False))
-    assert found["seed"] == 1
-    assert len(found["statistics"]) == replica.summary.count
-    assert found["statistics"][0].keys() >= {"table", "channel", "statistic", "published", "simulated", "z", "origin"}
+    result = json.loads(json.dumps(replica.as_json(), allow_nan=False))
+    assert result["seed"] == 1
+    assert len(result["statistics"]) == replica.summary.count
+    assert result["statistics"][0].keys() >= {"table", "channel", "statistic", "published", "simulated", "z", "origin"}
 
 
 @pytest.mark.slow

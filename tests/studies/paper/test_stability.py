@@ -47,8 +47,8 @@ def test_the_bounds_are_reached(count: int) -> None:
 
 
 def test_impossible_standard_deviations_are_all_of_thermometers() -> None:
-    found = {(channel, column): str(deviation) for channel, column, deviation, _ in impossible_deviations()}
-    assert found == {
+    result = {(channel, column): str(deviation) for channel, column, deviation, _ in impossible_deviations()}
+    assert result == {
         ("BMA1 t", "cont_std_of_means"): "0.090",
         ("BMA2 t", "runs_std_of_means"): "0.575",
         ("BMA2 t", "cont_std_of_means"): "0.096",

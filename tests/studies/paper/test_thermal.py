@@ -29,11 +29,11 @@ def test_the_fused_slope_of_a_pair(first: str, second: str, relation: str, fused
 
 
 def test_pairs_have_the_same_design_range_and_axis() -> None:
-    found = [(pair.first["channel"], pair.second["channel"]) for pair in pairs()]
-    assert len(found) == 12
-    sensors = {(a.split()[0], b.split()[0]) for a, b in found}
+    result = [(pair.first["channel"], pair.second["channel"]) for pair in pairs()]
+    assert len(result) == 12
+    sensors = {(a.split()[0], b.split()[0]) for a, b in result}
     assert sensors == {("ADXL1", "ADXL2"), ("BMA1", "BMA2"), ("BMA3", "BMA4"), ("Gyro1", "Gyro2")}
-    assert all(a.split()[1] == b.split()[1] for a, b in found)
+    assert all(a.split()[1] == b.split()[1] for a, b in result)
 
 
 def test_the_fused_slope_with_one_adxl345_reversed() -> None:

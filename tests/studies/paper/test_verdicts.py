@@ -58,9 +58,9 @@ VERDICTS = [
 
 
 def test_conclusions_have_their_verdicts_and_evidence() -> None:
-    found = conclusions()
-    assert len(found) == len(VERDICTS)
-    for statement, (claim, holds, evidence) in zip(found, VERDICTS, strict=True):
+    result = conclusions()
+    assert len(result) == len(VERDICTS)
+    for statement, (claim, holds, evidence) in zip(result, VERDICTS, strict=True):
         assert statement.claim.startswith(claim)
         assert (claim, statement.holds) == (claim, holds)
         assert evidence in statement.evidence
