@@ -28,7 +28,7 @@ gc.set_threshold(100_000, 20, 50)
 
 # The time of an example depends on the machine.  The examples are the same every time, so that what passed
 # passes again; `pytest --hypothesis-profile explore` draws others.  The quick half draws few, .ci/run all ("full").
-settings.register_profile("quick", deadline=None, derandomize=True, max_examples=5)
+settings.register_profile("quick", deadline=None, derandomize=True, max_examples=3)
 settings.register_profile("full", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("quick")

@@ -356,6 +356,7 @@ def test_representations_are_one_line(folder: Path) -> None:
     assert repr(ia.load_array("martin2013")).startswith("<ArrayConfig martin2013: ADXL1, ")
 
 
+@pytest.mark.slow
 def test_a_log_given_twice_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same poses twice would count as twice as many, and standard errors would be 0.71 of their true size."""
     monkeypatch.chdir(folder)

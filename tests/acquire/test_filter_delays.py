@@ -38,7 +38,7 @@ class ClockBoard(Board):
         return ClockElement()
 
 
-@pytest.mark.parametrize(("die", "bandwidths_hz", "delays_ms"), some(DELAYS_MS, 2))
+@pytest.mark.parametrize(("die", "bandwidths_hz", "delays_ms"), some(DELAYS_MS, 1))
 def test_a_row_shows_the_input_of_one_delay_earlier(
     die: str, bandwidths_hz: tuple[int, int], delays_ms: tuple[float, float], tmp_path: Path
 ) -> None:

@@ -263,6 +263,7 @@ def test_counts_beyond_sixteen_bits_are_clipped_and_flagged_where_no_type_is_sta
         assert log["A"].counts[:].dtype == np.int16
 
 
+@pytest.mark.slow
 def test_a_buffer_without_times_is_timed_by_its_counts(machine: KernelMachine) -> None:
     keys = {name: text for name, text in ACCEL.items() if "timestamp" not in name}
     device = machine.add("kx023", "i2c-1/1-001e", keys)
@@ -279,6 +280,7 @@ def test_a_buffer_without_times_is_timed_by_its_counts(machine: KernelMachine) -
         assert (np.abs(rows.time[:] + START_NS - true_ns) <= 1e9 * rows.time_uncertainty[:]).all()
 
 
+@pytest.mark.slow
 def test_a_device_that_is_removed_and_returns_is_logged_again(machine: KernelMachine) -> None:
     device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
     play = played(device, small_scan)

@@ -329,6 +329,7 @@ def test_biases_are_of_the_states_determined_before_the_first_rows(tmp_path: Pat
     assert asked == [True]
 
 
+@pytest.mark.slow
 def test_the_fused_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
     fusion.begin(EPOCH, HEADERS)

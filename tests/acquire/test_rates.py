@@ -284,6 +284,7 @@ def test_a_chip_that_is_set_up_again_loses_three_readings_at_most(board: Callabl
     assert not (status[again:] & 32).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_hz", "judged"), some([(0.2, False), (0.8, False), (1.0, True), (50.0, True)], 1))
 def test_a_start_is_judged_by_at_least_ten_readings(
     an_array: Callable[..., Any], tmp_path: Path, rate_hz: float, judged: bool

@@ -51,6 +51,7 @@ def test_the_log_of_the_papers_array_equals_the_bytes_on_the_wire(tmp_path: Path
     assert events(tmp_path / "r.h5") == []
 
 
+@pytest.mark.slow
 def test_the_barometer_is_read_after_its_conversions(tmp_path: Path) -> None:
     array = load_array(SHIPPED).only(("BMP180", "ADXL1"))
     bench = Bench(array, "world=heating&scale=0.01")

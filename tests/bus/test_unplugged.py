@@ -317,6 +317,7 @@ class TestIdentity:
         assert ports(tmp_path / "none") == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("for_s", "expected"), some([(100.0, 1), (3.0, 0)], 1))
 def test_a_log_whose_adapter_stays_unplugged_ends_with_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], for_s: float, expected: int

@@ -337,6 +337,7 @@ def test_poses_that_disagree_give_a_warning(write_log: WriteLog) -> None:
     assert any("bias known to +-" in warning and "mg only" in warning for warning in result.warnings)
 
 
+@pytest.mark.slow
 def test_the_file_of_a_mislabelled_face_is_named(write_log: WriteLog) -> None:
     """One log per face; in the log x_up the box was on its y face."""
     rng = np.random.default_rng(5)

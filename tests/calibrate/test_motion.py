@@ -109,6 +109,7 @@ def test_noise_of_a_phase_that_moves_is_refused(tmp_path: Path, felt: Felt) -> N
         calibrate_noise(log)
 
 
+@pytest.mark.slow
 def test_slopes_of_a_moving_log_are_refused(tmp_path: Path) -> None:
     warm = np.array([[0.0, 100.0, 300.0], [20.0, 40.0, 25.0]])
     with (

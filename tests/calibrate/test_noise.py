@@ -147,6 +147,7 @@ def test_standard_error_is_the_scatter_of_repetitions(tmp_path: Path) -> None:
     assert np.mean(sem) == pytest.approx(20 / np.sqrt(2 * 4096), rel=0.1)
 
 
+@pytest.mark.slow
 def test_standard_error_grows_with_the_correlation_of_neighbours(tmp_path: Path) -> None:
     """Rows that correlate by r^k are fewer independent ones: the error of the variance grows by sqrt((1 + r^2) / (1 -
     r^2)).

@@ -183,6 +183,7 @@ def test_a_long_break_separates_poses() -> None:
     assert separated_poses([*slow, pose(360)]) == {}
 
 
+@pytest.mark.slow
 def test_a_single_sensor_with_any_axes_passes_the_check_of_labels(write_log: WriteLog) -> None:
     """A single sensor whose axes are those of the log passes the check of labels, whichever axes these are."""
     for axes in AXES:

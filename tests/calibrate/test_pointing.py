@@ -15,6 +15,7 @@ from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
 from tests.calibrate.conftest import EPOCH, Floats, ideal
+from tests.selection import some
 
 RATE_HZ, REST_S, TURN_S = 50.0, 4.0, 1.5
 FIELD_WORLD = np.array([0.2, 0.05, -0.45])
@@ -88,7 +89,7 @@ def written(tmp_path: Path) -> Written:
 AXES = {"a1": "-Y+X+Z", "a2": "+Y+X-Z", "a3": "+Z+X+Y", "g1": "+X-Y-Z", "g2": "-Z-X+Y", "m1": "-X-Y+Z"}
 
 
-@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("named", some([True, False], 1))
 def test_three_poses_determine_every_axis(written: Written, named: bool) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"), named=named)) as log:
         result = find_pointing(log, upright_poses(log))

@@ -38,6 +38,7 @@ def on_faces(path: Path, tilts: tuple[tuple[float, float], ...]) -> TumbleResult
         return calibrate_tumble(log)
 
 
+@pytest.mark.slow
 def test_turns_between_faces_calibrate_gyroscopes(tmp_path: Path) -> None:
     """The order of Table 10 has six turns: one of 90 degrees about Y, three about Z, two about X.
 

@@ -116,6 +116,7 @@ def test_a_warm_up_is_not_reported_as_a_state() -> None:
     assert np.mean([two_states(means, warm, 1)[1] < 0.01 for means in series]) <= FALSE_ALARMS
 
 
+@pytest.mark.slow
 def test_states_ten_spreads_apart_are_detected() -> None:
     """50 series, 6 of 15 runs in the other state, along a direction oblique to the sensor's axes: nine of ten are
     detected.

@@ -49,6 +49,7 @@ def test_intervals_of_short_logs_are_exact(intervals: list[int], block: int) -> 
         assert time_ns[gap.row] - gap.after_ns == round(gap.length_s * 1e9)
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_blocks() -> None:
     time_ns = clock(5000, 1, 20_000, 0, 100_000)
     time_ns[3000:] += 10**10

@@ -214,6 +214,7 @@ def test_the_scale_of_a_calibration_replaces_that_of_the_data_sheet(log_path: Pa
         assert axis["unit"]["std"] == pytest.approx(axis["counts"]["std"] * axis["unit_per_count"])
 
 
+@pytest.mark.slow
 def test_the_decimated_estimator_is_named_and_agrees(log_path: Path) -> None:
     with open_log(log_path) as log:
         exact, fewer = (characterise_log(log, sensors=["G"], estimator=name) for name in ("overlapping", "decimated"))

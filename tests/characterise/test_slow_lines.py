@@ -96,6 +96,7 @@ def test_runs_are_not_joined() -> None:
     assert slow_welch(100.0, 2000, 1) is None
 
 
+@pytest.mark.slow
 def test_a_slow_line_is_in_the_characterisation(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     header = SensorHeader("Acc", "mpu6050", "specific_force", "g", 2.0, 16384.0, axes="+X+Y+Z")

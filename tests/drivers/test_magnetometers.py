@@ -352,6 +352,7 @@ def test_a_microcontroller_reads_and_restarts_an_ak8975_in_one_visit() -> None:
     assert visit.requests == (Request(0x0C, b"\x02", 8), Request(0x0C, b"\x0a\x01", 0))
 
 
+@pytest.mark.slow
 def test_an_ak8975_is_logged_at_the_rate_of_the_frames(tmp_path: Path) -> None:
     array, path = parse_array(BEHIND_9150), tmp_path / "run.h5"
     with open_bus("emulated:", array) as bus:

@@ -90,7 +90,7 @@ def steady(before_ms: float, after_ms: float) -> Iterator[tuple[float, float]]:
     return itertools.repeat((before_ms, after_ms))
 
 
-@pytest.mark.parametrize("ms", some([0.0, 0.5, 1.0, 3.0, 7.0, 20.0, 50.0, 100.0], 3))
+@pytest.mark.parametrize("ms", some([0.0, 0.5, 1.0, 3.0, 7.0, 20.0, 50.0, 100.0], 1))
 @pytest.mark.parametrize("chip", SENSORS)
 def test_a_working_chip_never_fails(chip: str, ms: float) -> None:
     """For any share of the delay before the transfer."""

@@ -45,6 +45,7 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_accelerometer_and_a_gyroscope_are_one_imu(still: Path, tmp_path: Path) -> None:
     """White noise of sigma at a rate f has the density sigma / sqrt(f); three axes of 12000 rows, the largest: 5 %."""
     written = export(still, tmp_path / "imu.yaml")

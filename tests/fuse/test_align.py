@@ -183,6 +183,7 @@ def test_correcting_the_skew_adds_no_noise(write_run: WriteRun, step_s: float) -
     assert np.sqrt((fused.std(axis=0) ** 2).mean()) == pytest.approx(0.01 / np.sqrt(8), rel=0.02)
 
 
+@pytest.mark.slow
 def test_correcting_the_skew_of_two_quantities_adds_no_noise(write_run: WriteRun) -> None:
     """Accelerometers in its first half, gyroscopes in the second: each a quarter of a frame off its middle, where the
     slope alone would add 1 - sqrt(1 + 9 (2 / sqrt 3 - 1) / 16), 4.3 %.

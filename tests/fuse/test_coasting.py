@@ -141,6 +141,7 @@ def test_a_coast_begins_after_a_rest() -> None:
     assert np.isnan(coasting(errors(seconds=60)).heading_rms_deg)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", some([1, 63, 500, 4001], 2))
 def test_results_do_not_depend_on_blocks(cut: int) -> None:
     """With a turn, which delays a window, and a pause."""

@@ -81,6 +81,7 @@ def test_fuse_prints_a_summary(run: Path, tmp_path: Path, capsys: pytest.Capture
     assert float(rms[rms.index("x") + 1]) == pytest.approx(7.07, rel=0.12)
 
 
+@pytest.mark.slow
 def test_optimal_reports_learnt_biases(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One of two sensors has an error of 100 mg on each axis, and it is unknown which: 50 mg for each, and half of the
     variance remains. Their responses are known to 1e-4.
@@ -148,6 +149,7 @@ def test_the_calibration_is_used(write_run: WriteRun, tmp_path: Path, capsys: py
     assert mean == pytest.approx([0.0] * 3, abs=5 * 0.01 / np.sqrt(1000) + 0.5 / 2048)
 
 
+@pytest.mark.slow
 def test_a_bias_without_an_uncertainty_is_used_by_every_technique(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -232,6 +234,7 @@ def test_a_calibration_of_another_array_is_refused(
     assert "contains no sensor, but none of" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_report_lists_changes_and_uncalibrated_sensors(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

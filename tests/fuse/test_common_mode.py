@@ -50,6 +50,7 @@ def test_a_common_drift_is_removed(write_run: WriteRun) -> None:
     assert np.abs(opposed[end].mean(axis=0)).max() < drift / 3 / 40 + noise
 
 
+@pytest.mark.slow
 def test_removing_the_drift_adds_no_noise(write_run: WriteRun) -> None:
     parts = gyros(temperatures)
     scatter = {}
@@ -67,6 +68,7 @@ def test_a_motion_is_not_removed_as_drift(write_run: WriteRun) -> None:
     assert np.abs(opposed - rate(np.arange(4000) / 20)).max() < 1.01 / 100
 
 
+@pytest.mark.slow
 def test_one_pair_is_balanced(write_run: WriteRun) -> None:
     """1 + 1 axes along Y and Z: the average has no common error. Along X both have the same direction: it is not
     observable.
@@ -116,6 +118,7 @@ def test_a_common_constant_error_is_removed() -> None:
     assert np.abs(opposed).max() < 1 / 30
 
 
+@pytest.mark.slow
 def test_a_common_drift_is_removed_under_individual_biases(write_run: WriteRun) -> None:
     """Biases of 2 dps that differ from unit to unit stay as they are in the average; the drift of 1 dps is removed."""
     rng = np.random.default_rng(4)

@@ -125,6 +125,7 @@ def test_frames_at_common_times_are_compared() -> None:
     assert np.concatenate([block.force for block in blocks])[:, 2].tolist() == (2 * time).tolist()
 
 
+@pytest.mark.slow
 def test_the_interval_covers_a_ratio() -> None:
     """White errors, half of them shared: of 400 intervals from twenty parts 95 % cover the true ratio, to four standard
     errors of 1.1 %.
@@ -162,6 +163,7 @@ def test_the_command_reports_all_scores(run: Path, tmp_path: Path, capsys: pytes
     assert "coasting" in table and max(map(len, table.splitlines())) <= 132
 
 
+@pytest.mark.slow
 def test_a_reference_of_temperature_alone_is_refused(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -150,6 +150,7 @@ def test_a_pair_that_may_cancel_fully_has_no_upper_limit(write_run: WriteRun) ->
     assert alone == []
 
 
+@pytest.mark.slow
 def test_fuse_reports_opposing_pairs(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_run(OPPOSED, frames=200, rate_hz=20.0)
     calibrated().save(tmp_path / "cal.toml")

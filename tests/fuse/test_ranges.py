@@ -389,6 +389,7 @@ def test_the_blend_of_all_ranges_is_not_changed_by_tracking() -> None:
     assert np.abs((estimate.triad_box - plain).mean(axis=0)).max() < BLEND_G / 1000
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_blocks() -> None:
     """Any block limits: in the middle of segments, of the hand-over, of settling."""
     case = sensed(manoeuvre, 16, 6)

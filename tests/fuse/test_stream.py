@@ -108,6 +108,7 @@ def test_frames_are_given_while_rows_arrive(run: Path) -> None:
     assert 3.5 - frames[-1] * 1e-9 < (2 * 32 + 6 + 10) / 100
 
 
+@pytest.mark.slow
 def test_a_silent_sensor_is_waited_for_until_the_time_out_and_reported(run: Path) -> None:
     """G2 ends at 4 s: after the time-out frames are given without it, and equal those of the log."""
     text: list[str] = []
@@ -183,6 +184,7 @@ def test_a_pipeline_may_delay_frames(run: Path) -> None:
         same(late, list(fuse(log, calibration(parts()), "opposed")))
 
 
+@pytest.mark.slow
 def test_a_pipeline_receives_the_element_temperatures(warm: Path) -> None:
     heard: dict[str, list[Floats]] = {"A1": [], "A2": [], "G1": []}
 

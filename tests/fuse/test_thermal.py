@@ -45,6 +45,7 @@ def test_drift_with_temperature_is_removed(tmp_path: Path, thermometer: str) -> 
         assert (drift(after)[axes] < drift(before)[axes] / 20).all()
 
 
+@pytest.mark.slow
 def test_a_slope_that_may_be_of_the_scale_factor_is_not_applied(tmp_path: Path) -> None:
     path = heating(tmp_path / "heat.h5", "barometer")
     before, after = (fused(path, calibration, "specific_force") for calibration in (cold(known()), known()))
@@ -97,6 +98,7 @@ def test_a_lag_that_may_be_zero_is_not_applied(tmp_path: Path) -> None:
     assert np.abs(WARM - ELEMENT).max() > 2.0
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_blocks(tmp_path: Path) -> None:
     path = heating(tmp_path / "heat.h5", "barometer")
     one, many = (fused(path, known(), "specific_force", block) for block in (1 << 14, 777))
@@ -115,6 +117,7 @@ def test_fuse_names_sensors_whose_bias_follows_temperature(tmp_path: Path, capsy
     assert "  bias follows the log's temperature: G1\n" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_fuse_reports_a_log_without_thermometer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = heating(tmp_path / "heat.h5", "none")
     known().save(tmp_path / "cal.toml")

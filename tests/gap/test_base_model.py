@@ -216,7 +216,7 @@ def test_a_slope_without_a_known_temperature_is_drawn() -> None:
     assert not any(effect.slope[0] for effect in warm.drawn(1)["A1"] if isinstance(effect, ThermalBias))
 
 
-@pytest.mark.parametrize(("rows", "is_long"), [(20_000, True), (500, False)])
+@pytest.mark.parametrize(("rows", "is_long"), some([(20_000, True), (500, False)], 1))
 def test_replicates_have_the_usual_flicker_noise_in_long_phases(rows: int, *, is_long: bool) -> None:
     """White noise of 0.175 dps: the mean of 20,000 rows is known to 0.0012 dps, a third of the largest usual floor of
     0.004 dps, that of 500 rows to 0.008 dps. In 60 draws with flicker the floors are between 0 and that limit.
@@ -282,10 +282,7 @@ def test_seeds_of_replicates_are_unique() -> None:
     assert 2**63 <= min(seeds) <= max(seeds) < 2**64
 
 
-@pytest.mark.parametrize(
-    ("lag_1", "expected"),
-    [(0.333, 35.0), (0.24, 45.4), (0.8, 17.5)],
-)
+@pytest.mark.parametrize(("lag_1", "expected"), some([(0.333, 35.0), (0.24, 45.4), (0.8, 17.5)], 1))
 def test_a_configured_filter_is_fitted_where_it_is_observable(lag_1: float, expected: float) -> None:
     """35 Hz at 200 rows a second: exp(-2 pi 35 / 200) = 0.333; within half of 35 Hz."""
     low_pass = fitted_to_noise([math.sqrt(1 - lag_1**2)], [1.0, -lag_1]).low_pass
@@ -338,7 +335,7 @@ def test_a_misfit_of_the_nearest_filter_widens_its_cutoff() -> None:
     assert _form_error(measured._replace(values=filters[best] + 10 * more), best, filters) == 0.1
 
 
-@pytest.mark.parametrize("samples_a_row", [0.5, 0.8])
+@pytest.mark.parametrize("samples_a_row", some([0.5, 0.8], 1))
 def test_a_filter_is_fitted_to_repeated_samples(samples_a_row: float) -> None:
     """Noise after a filter of 20 Hz, sampled at 160 or 100 Hz and read 200 times a second: its correlation is that of
     samples, exp(-2 pi 20 / 160) = 0.46 or 0.28, not that of rows (0.53).
@@ -423,6 +420,7 @@ def test_a_configured_filter_is_assumed_without_evidence() -> None:
     assert low_pass_of(filtered).poles == 2.0
 
 
+@pytest.mark.slow
 def test_a_filter_at_half_the_data_rate_is_not_assumed() -> None:
     """White noise at 200 rows a second of a chip that samples at 200 Hz with a bandwidth of 100 Hz: a digital filter of
     100 Hz has a zero there, which these rows lack.

@@ -19,6 +19,7 @@ from imuarray.gap.recording.recordings import recording_of
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.posed import Movement, PoseSequence
+from tests.selection import some
 
 Floats = npt.NDArray[np.float64]
 SECOND = 1_000_000_000
@@ -106,7 +107,7 @@ def movement_of(log: Log, phase: Phase, rests: Sequence[Phase]) -> Movement | No
     return movements_of(log, list(log.sensors), [phase], rests).get(phase)
 
 
-@pytest.mark.parametrize("missing_s", [(0.0, 0.0), (5.0, 6.5)])
+@pytest.mark.parametrize("missing_s", some([(0.0, 0.0), (5.0, 6.5)], 1))
 def test_the_movement_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, float]) -> None:
     """Force and rate within 4 mg and 0.1 dps (biases average to 2.5 mg, those of gyroscopes are known from the rest),
     and the angular acceleration within 5 %, for any orientation of the sensors; a sensor that lacks rows causes no
@@ -137,7 +138,7 @@ def test_one_of_three_with_another_mounting_is_ignored(tmp_path: Path) -> None:
     np.testing.assert_allclose(rate, [0.0, np.pi / 4, 0.0], atol=np.radians(0.5))
 
 
-@pytest.mark.parametrize("noted", ["+Z", "-Y"])
+@pytest.mark.parametrize("noted", some(["+Z", "-Y"], 1))
 def test_one_of_two_that_contradicts_the_noted_face_is_ignored(tmp_path: Path, noted: str) -> None:
     """An accelerometer that reads -1 g on its upper face; if both contradict the note, the note is wrong, and the mean
     of the two is zero here.
@@ -151,7 +152,7 @@ def test_one_of_two_that_contradicts_the_noted_face_is_ignored(tmp_path: Path, n
     np.testing.assert_allclose(force, whole if noted == "+Z" else 0.0, atol=0.01 * GRAVITY)
 
 
-@pytest.mark.parametrize(("accelerometers", "gyroscopes"), [(1, 1), (0, 1), (3, 0)])
+@pytest.mark.parametrize(("accelerometers", "gyroscopes"), some([(1, 1), (0, 1), (3, 0)], 1))
 def test_a_movement_needs_two_sensors_of_a_kind_and_a_gyroscope(
     tmp_path: Path, accelerometers: int, gyroscopes: int
 ) -> None:
@@ -186,6 +187,7 @@ def test_a_still_axis_has_no_noise_in_the_movement(tmp_path: Path) -> None:
     assert rate_dps.std() < 0.007
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hertz", "is_left_out"), [(3.0, False), (31.0, True)])
 def test_a_fast_vibration_is_not_a_movement(tmp_path: Path, hertz: float, is_left_out: bool) -> None:
     """A third of a g at 3 Hz is a motion, at 31 Hz every row of 100 Hz differs from the previous row."""
@@ -197,7 +199,7 @@ def test_a_fast_vibration_is_not_a_movement(tmp_path: Path, hertz: float, is_lef
     assert any("vibrates faster than the rows" in note for note in recording.notes) == is_left_out
 
 
-@pytest.mark.parametrize(("amplitude_g", "is_left_out"), [(0.0, False), (0.002, True)])
+@pytest.mark.parametrize(("amplitude_g", "is_left_out"), some([(0.002, True), (0.0, False)], 1))
 def test_a_noted_rest_with_shaking_is_excluded(tmp_path: Path, amplitude_g: float, *, is_left_out: bool) -> None:
     """The box is in a hand that shakes it by 16 counts at 7 Hz, the noise is two; the label states a rest."""
     sensors = array(accelerometers=2, gyroscopes=1)
@@ -209,6 +211,7 @@ def test_a_noted_rest_with_shaking_is_excluded(tmp_path: Path, amplitude_g: floa
     assert any("feel the same motion" in note for note in recording.notes) == is_left_out
 
 
+@pytest.mark.slow
 def test_accelerometers_shaken_at_every_rest_are_excluded(tmp_path: Path) -> None:
     """Near a running engine, which the gyroscope does not sense; if all sensors sense it, they are compared."""
     sensors = array(accelerometers=2, gyroscopes=1)
@@ -221,6 +224,7 @@ def test_accelerometers_shaken_at_every_rest_are_excluded(tmp_path: Path) -> Non
         assert any("shaken in every phase" in note for note in recording.notes) == (count == 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("accelerometers", "is_left_out"), [(2, True), (1, False)])
 def test_a_touch_sensed_by_several_sensors_is_excluded(
     tmp_path: Path, accelerometers: int, *, is_left_out: bool
@@ -271,6 +275,7 @@ def test_a_rest_is_cut_where_the_box_moves(tmp_path: Path) -> None:
     assert second._replace(start_ns=0) == AFTER._replace(start_ns=0)
 
 
+@pytest.mark.slow
 def test_a_rest_is_cut_where_motors_start(tmp_path: Path) -> None:
     """Two accelerometers are shaken by 0.02 g from 3 s until the end of the phase; a single one may be at fault."""
     for count, end_s in ((2, 2.35), (1, 4.0)):
@@ -318,7 +323,7 @@ def test_turns_of_a_log_without_a_track_are_simulated(tmp_path: Path) -> None:
     np.testing.assert_allclose(felt_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
 
 
-@pytest.mark.parametrize(("longest_s", "is_compared"), [(20.0, False), (2.0, True)])
+@pytest.mark.parametrize(("longest_s", "is_compared"), some([(2.0, True), (20.0, False)], 1))
 def test_a_motion_between_detected_rests_is_compared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, longest_s: float, is_compared: bool
 ) -> None:

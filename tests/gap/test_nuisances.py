@@ -29,9 +29,10 @@ from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
 from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation
+from tests.selection import some
 
 
-@pytest.mark.parametrize("lag_s", [4.0, 12.0])
+@pytest.mark.parametrize("lag_s", some([4.0, 12.0], 1))
 def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> None:
     base = fit(campaign_of("heating", {"G1": (ThermalLag(lag_s),)}, seed=3), PLANS["heating"])
     assert base.fitted["G1"].lag_s == pytest.approx(lag_s, rel=0.1)
@@ -39,7 +40,7 @@ def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> No
     assert base.fitted["G2"].lag_s == pytest.approx(0.0, abs=0.2)
 
 
-@pytest.mark.parametrize(("slope", "expected_s"), [(0.0, LONGEST_DIE_LAG_S), (-0.05, LONGEST_LAG_S)])
+@pytest.mark.parametrize(("slope", "expected_s"), some([(0.0, LONGEST_DIE_LAG_S), (-0.05, LONGEST_LAG_S)], 1))
 def test_a_lag_beyond_the_usual_is_left_to_the_effect(slope: float, expected_s: float) -> None:
     """A die whose thermometer has the same lag, and elements whose thermometer follows the box without lag: with the
     slope of the array, +0.05 dps/degC, no element follows without lag.
@@ -50,6 +51,7 @@ def test_a_lag_beyond_the_usual_is_left_to_the_effect(slope: float, expected_s: 
     assert base.fitted["G1"].lag_s == expected_s
 
 
+@pytest.mark.slow
 def test_an_element_may_have_the_lag_of_the_dies_on_the_board() -> None:
     """One die lags by 30 s by its thermometer, an accelerometer by 35 s; without the first, this lag is unusual."""
     late = {"A1": (ThermalLag(35.0),), "G1": (ThermalLag(30.0),)}
@@ -120,6 +122,7 @@ def vibrating(amplitude_g: float, *names: str) -> tuple[float, ...]:
     return tuple(item.amplitude_box[0] / 9.80665 for item in fitted if abs(item.frequency_hz - 17.0) < 0.2)
 
 
+@pytest.mark.slow
 def test_a_weak_line_of_all_accelerometers_is_of_the_room() -> None:
     (amplitude_g,) = vibrating(4e-4, "A1", "A2")
     assert amplitude_g == pytest.approx(4e-4, rel=0.15)

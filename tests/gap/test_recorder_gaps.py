@@ -13,6 +13,7 @@ from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording.recordings import Recording, recording_of, sources_of
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, OVERRUN, Event, Phase, SensorHeader
+from tests.selection import some
 
 RATE_HZ = 50
 SECOND = 10**9
@@ -77,7 +78,7 @@ def test_rows_that_one_sensor_lacks_are_counted_as_lost(tmp_path: Path, rows: sl
     assert not any("recorder" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize(("chip_hz", "lost"), [(25.0, 0), (40.0, 1), (50.0, 1), (0.0, 1)])
+@pytest.mark.parametrize(("chip_hz", "lost"), some([(25.0, 0), (40.0, 1), (50.0, 1), (0.0, 1)], 1))
 def test_a_skipped_poll_of_a_slow_chip_loses_no_reading(tmp_path: Path, chip_hz: float, lost: int) -> None:
     """Polled 50 times a second: rows that are 40 ms apart skip none of 25 readings per second, but one of 40 or 50."""
     slow = tuple(replace(sensor, rate_hz=chip_hz) for sensor in SENSORS)
@@ -87,7 +88,7 @@ def test_a_skipped_poll_of_a_slow_chip_loses_no_reading(tmp_path: Path, chip_hz:
 
 
 @pytest.mark.parametrize(
-    ("frame_rate_hz", "flag", "lost"), [(20.0, 0, 0), (20.0, OVERRUN, 1), (20.0, LOST_BEFORE, 1), (50.0, 0, 1)]
+    ("frame_rate_hz", "flag", "lost"), some([(20.0, 0, 0), (20.0, OVERRUN, 1), (20.0, LOST_BEFORE, 1), (50.0, 0, 1)], 1)
 )
 def test_a_queue_without_overflow_loses_no_reading(tmp_path: Path, frame_rate_hz: float, flag: int, lost: int) -> None:
     """50 rows per second in 20 frames are from a queue; a sensor that is polled once a frame lacks a row."""
@@ -97,13 +98,16 @@ def test_a_queue_without_overflow_loses_no_reading(tmp_path: Path, frame_rate_hz
 
 @pytest.mark.parametrize(
     ("message", "late_s", "is_of_recorder"),
-    [
-        ("40 frames missed: the one before ended too late", 6.8, True),
-        ("60 frames missed: the one before ended too late", 7.4, True),
-        ("in all 80 frames missed in 4.5 s", 10.0, True),
-        ("40 frames missed: the one before ended too late", 9.0, False),
-        ("in all 80 frames missed in 2.5 s", 10.0, False),
-    ],
+    some(
+        [
+            ("40 frames missed: the one before ended too late", 6.8, True),
+            ("60 frames missed: the one before ended too late", 7.4, True),
+            ("in all 80 frames missed in 4.5 s", 10.0, True),
+            ("40 frames missed: the one before ended too late", 9.0, False),
+            ("in all 80 frames missed in 2.5 s", 10.0, False),
+        ],
+        2,
+    ),
 )
 def test_delays_reported_by_the_logger_are_used(
     tmp_path: Path, message: str, late_s: float, is_of_recorder: bool
@@ -131,7 +135,7 @@ def test_delays_reported_by_other_loggers_are_used(
     assert due(recording)["Acc"] == ROWS - 3 * is_of_recorder
 
 
-@pytest.mark.parametrize("is_delayed", [False, True])
+@pytest.mark.parametrize("is_delayed", some([True, False], 1))
 def test_a_gap_of_the_recorder_does_not_change_the_statistics(tmp_path: Path, is_delayed: bool) -> None:
     rows = slice(300, 340)
     recording = logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows}, is_delayed=is_delayed)
@@ -214,6 +218,7 @@ def in_bursts(path: Path, lost: Sequence[int], second_ns: int = 0) -> Recording:
     return recording_of(open_log(path))
 
 
+@pytest.mark.slow
 def test_common_stamps_determine_the_lost_rows_of_a_sensor(tmp_path: Path) -> None:
     """Also for irregular stamps; without common stamps they are unknown."""
     lost = (30, 500, 501, 1700)

@@ -329,6 +329,7 @@ def test_a_magnetometer_alone_has_no_error_of_level(tmp_path: Path) -> None:
     assert bench.base.fitted["Mag"].rms[0] * 1090 == pytest.approx(5.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_track_of_the_motion_gives_no_field(tmp_path: Path) -> None:
     """At rest for a while, then turned to and fro, as measured by a reference: the magnetometer is compared at rest."""
     path = tmp_path / "turned.h5"
@@ -497,7 +498,7 @@ def test_a_track_distinguishes_a_gentle_motion_from_rest(tmp_path: Path) -> None
     assert [part.name for part in turned.phases] == ["motion"]
 
 
-@pytest.mark.parametrize("noise", [2e-5, 2e-4, 2e-3])
+@pytest.mark.parametrize("noise", some([2e-5, 2e-4, 2e-3], 1))
 def test_the_noise_of_a_reference_is_not_a_motion(tmp_path: Path, noise: float) -> None:
     still = turning_log(tmp_path / "still.h5", 0.0, noise)
     rest = still.phases[0]
@@ -549,6 +550,7 @@ def test_an_unrecorded_heating_is_excluded(tmp_path: Path, drifting: int, shape:
     assert any("warm.h5 is left out" in note for note in read[0].notes) == is_left_out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shapes", "is_left_out"),
     some(

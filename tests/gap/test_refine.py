@@ -66,6 +66,7 @@ def test_trials_are_ranked_by_their_gain(tone: tuple[Bench, UnitState]) -> None:
     assert nothing.gain == pytest.approx(0.0, abs=0.2)  # noise and level are adapted by two draws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guess", [0.025, 0.06])
 def test_an_amplitude_is_refined(tone: tuple[Bench, UnitState], guess: float) -> None:
     """From 0.6 and 1.5 of it; the noise, which had included the line, is restored. 1000 rows of 0.05 dps determine an

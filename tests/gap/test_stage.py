@@ -101,6 +101,7 @@ def test_the_stimulus_is_cached_for_each_owner() -> None:
     assert calls == [500, 10, 500]
 
 
+@pytest.mark.slow
 def test_replicates_do_not_depend_on_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     bench, _ = prepared([("static", Still(seconds=20)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])
     stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)

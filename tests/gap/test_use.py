@@ -139,6 +139,7 @@ def test_the_error_on_faces_includes_a_scale_error() -> None:
     assert not any("residual" in name for name, _ in figures("static", {}))
 
 
+@pytest.mark.slow
 def test_the_error_in_heat_includes_a_curved_drift() -> None:
     """The quadratic residual of a straight line; peak to peak by hand from the temperatures of the segments."""
     square = 4e-4

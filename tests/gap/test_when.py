@@ -94,7 +94,7 @@ def test_timed_hypotheses_observable_in_both_parts(when: When, both: bool) -> No
             ("G1", sampled.more_noise(1.3, (0,), 15.0, 40.0), 15.0, 40.0, 1.0),
             ("G1", sampled.held(160.0, 12.0, 30.0), 12.0, 30.0, 0.1),
         ],
-        2,
+        1,
     ),
 )
 def test_intervals_are_suggested_by_the_course_of_a_log(
@@ -115,6 +115,7 @@ def test_intervals_are_suggested_by_the_course_of_a_log(
     np.testing.assert_allclose(sides[0][0], (begin_s, end_s), atol=within_s)
 
 
+@pytest.mark.slow
 def test_a_uniform_log_has_no_intervals(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Neither has a log with a permanent effect."""
     folder = tmp_path_factory.mktemp("same")

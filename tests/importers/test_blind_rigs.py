@@ -83,7 +83,7 @@ SAID = {
 }
 
 
-@pytest.mark.parametrize("write", some(SAID, 2))
+@pytest.mark.parametrize("write", some(SAID, 1))
 def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], list[str]], tmp_path: Path) -> None:
     source, map_path = tmp_path / "rig.csv", tmp_path / "map.toml"
     source.write_text("\n".join(write(tmp_path)) + "\n")

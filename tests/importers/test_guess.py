@@ -181,6 +181,7 @@ def test_units_of_a_spreadsheet_in_any_encoding_are_read(encoding: str, tmp_path
         assert [sensor.unit for sensor in log.sensors.values()] == ["g", "dps"]
 
 
+@pytest.mark.slow
 def test_the_file_name_gives_the_sensor(tmp_path: Path) -> None:
     """Phones write a file for each sensor, with columns x, y, z."""
     values = SI[:, 5:2:-1]

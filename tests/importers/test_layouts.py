@@ -188,6 +188,7 @@ def test_an_unknown_unit_of_time_is_refused_with_the_allowed_ones(
     assert "%H" in message
 
 
+@pytest.mark.slow
 def test_rows_out_of_order_keep_their_time_column_and_are_sorted(tmp_path: Path) -> None:
     order = np.arange(ROWS)
     order[10::50], order[12::50] = order[12::50].copy(), order[10::50].copy()

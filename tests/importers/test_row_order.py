@@ -58,6 +58,7 @@ def test_late_rows_are_sorted_and_counted(tmp_path: Path) -> None:
         imported(tmp_path, data, "")
 
 
+@pytest.mark.slow
 def test_rows_of_two_blocks_are_sorted_together(tmp_path: Path) -> None:
     """Blocks have 4096 rows: the late rows are in the second block."""
     order = np.r_[0:4090, 4100:4200, 4090:4100, 4200:9000]
@@ -110,7 +111,7 @@ def test_any_order_within_the_buffer_is_sorted(times: list[int], rows: int) -> N
     assert order.late == sum(time < max(times[:at], default=0) for at, time in enumerate(times))
 
 
-@pytest.mark.parametrize("overlap", some([2, 300, 4096], 2))
+@pytest.mark.parametrize("overlap", some([2, 300, 4096], 1))
 def test_rows_of_an_overlap_are_kept_once(tmp_path: Path, overlap: int) -> None:
     rows = np.r_[0:6000, 6000 - overlap : 8000]
     counts, remarks = imported(tmp_path, table(0.01 * rows + 1, rows), ", sort = true")

@@ -148,6 +148,7 @@ def test_an_interrupted_log_is_recovered(run: Path, capsys: pytest.CaptureFixtur
     assert "nothing to recover" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_an_interrupted_log_is_recovered_to_another_path(run: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere.h5"
     before = run.read_bytes()
@@ -216,7 +217,7 @@ def test_rows_after_a_flipped_bit_in_the_journal_are_recovered(run: Path, capsys
         assert [event.kind for event in log.events] == ["lost", "damaged", "recovered"]
 
 
-@pytest.mark.parametrize("command", some(["info", "verify", "recover"], 2))
+@pytest.mark.parametrize("command", some(["info", "verify", "recover"], 1))
 def test_a_journal_alone_is_the_whole_log(run: Path, command: str) -> None:
     run.unlink()
     assert main([command, str(run)]) == 0
@@ -238,6 +239,7 @@ def test_a_recovered_log_has_an_event_of_its_recovery(run: Path) -> None:
         assert log.events[-1] == Event(last_ns, "", "recovered", text)
 
 
+@pytest.mark.slow
 def test_recovering_a_finished_log_to_another_path_copies_it(run: Path, tmp_path: Path) -> None:
     recover(run)
     copy = tmp_path / "copy.h5"
@@ -259,6 +261,7 @@ def test_a_full_disk_at_recovery_is_reported_and_the_log_is_unchanged(
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_the_journal_of_another_log_is_ignored(run: Path, tmp_path: Path) -> None:
     content = journal_of(run).read_bytes()
     (tmp_path / "other").mkdir()
@@ -336,6 +339,7 @@ def test_a_finished_log_ignores_its_remaining_journal(run: Path) -> None:
     assert not journal_of(run).exists()
 
 
+@pytest.mark.slow
 def test_a_log_that_is_finished_while_it_is_opened_is_read(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -167,6 +167,7 @@ def test_missed_frames_of_a_blocked_recorder_are_counted(tmp_path: Path, name: s
         assert describe(log)["missed"] == missed
 
 
+@pytest.mark.slow
 def test_creating_files_takes_no_time_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1",))
     with open_bus("emulated:", array) as bus:

@@ -176,6 +176,7 @@ def test_the_error_of_a_part_created_ahead_is_raised_when_it_is_required(
             assert len(first_part["A"]) == 10
 
 
+@pytest.mark.slow
 def test_an_older_log_is_replaced_when_its_part_begins_and_not_before(tmp_path: Path) -> None:
     for name in ("run_002.h5", "run_003.h5"):
         (tmp_path / name).write_text("older")

@@ -96,6 +96,7 @@ def test_a_column_that_is_read_caches_two_chunks_and_little_more(tmp_path: Path)
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=12)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(20), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     phases=st.lists(

@@ -67,6 +67,7 @@ def test_sensors_are_shown_in_their_units_while_they_are_written(logger: Logger,
     assert (acc.rows, baro.rows) == (400, 16)
 
 
+@pytest.mark.slow
 def test_the_integral_of_the_spectrum_is_the_variance(logger: Logger, log_path: Path) -> None:
     logger.go_on(10.0)
     with LogMonitor(log_path) as watch:
@@ -78,6 +79,7 @@ def test_the_integral_of_the_spectrum_is_the_variance(logger: Logger, log_path: 
     assert (spectrum.density.argmax(axis=0) == len(spectrum.frequency_hz) - 1).all()
 
 
+@pytest.mark.slow
 def test_sensors_of_a_quantity_are_fused_by_their_mean(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
     with LogMonitor(log_path) as watch:
@@ -89,6 +91,7 @@ def test_sensors_of_a_quantity_are_fused_by_their_mean(logger: Logger, log_path:
     np.testing.assert_allclose(fused.noise["angular_rate"], swing / math.sqrt(2), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_fused_file_of_the_log_is_shown_instead_of_the_mean(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
     time = np.arange(300, dtype=np.int64) * 10_000_000
@@ -445,6 +448,7 @@ def test_the_newest_part_of_a_running_log_is_shown(tmp_path: Path) -> None:
             assert (seen.path.name, seen.state) == ("night_003.h5", "being written")
 
 
+@pytest.mark.slow
 def test_a_part_of_another_recording_is_not_followed(tmp_path: Path) -> None:
     for number, epoch in ((1, EPOCH), (2, "2020-01-01T00:00:00Z")):
         with LogWriter(tmp_path / f"run_00{number}.h5", HEADERS, source="emulated", epoch=epoch) as writer:

@@ -338,6 +338,7 @@ def test_every_effect_has_a_meaning() -> None:
     assert meaning("thermal_lag") == "the sensing element, or a part of it, warms up later than the box"
 
 
+@pytest.mark.slow
 def test_both_maps_share_a_scale_with_a_break_at_the_limit() -> None:
     shown = made().map
     images = [map_figure(scores, shown, "").axes[0].collections[0] for scores in (shown.before, shown.after)]

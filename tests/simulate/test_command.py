@@ -130,6 +130,7 @@ def test_a_log_is_simulated_like_a_recorded_log(tmp_path: Path) -> None:
     assert np.abs(ours - theirs).max() < 20  # the same unit, in the same pose
 
 
+@pytest.mark.slow
 def test_another_experiment_is_simulated_for_the_array_of_a_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -93,6 +93,7 @@ def test_neither_block_nor_workers_change_a_value(
         np.testing.assert_array_equal(values, other[name], name)
 
 
+@pytest.mark.slow
 def test_dropped_rows_are_counted_and_are_events(array: ArrayConfig, tmp_path: Path) -> None:
     written = write_log(simulation(array), tmp_path / "run.h5")
     with open_log(tmp_path / "run.h5") as log:

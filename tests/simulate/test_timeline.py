@@ -152,6 +152,7 @@ def log_of(path: Path, times: np.ndarray, lost_before: Sequence[int] | np.ndarra
     return path
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(30))
 @given(
     lost=st.lists(st.booleans(), min_size=1, max_size=60), period_ns=st.integers(1000, 10**8), seed=st.integers(0, 99)

@@ -145,6 +145,7 @@ def test_a_bias_is_not_an_effect_in_motion(tmp_path: Path) -> None:
     assert matched_statistic([plain], [bent]) > LIMIT
 
 
+@pytest.mark.slow
 def test_sensor_noise_is_not_an_effect_in_motion(tmp_path: Path) -> None:
     """The response is that to the commanded motion: the sensor's own noise, 80 times its standard error in the readings
     of all rows, is not a response to the motion. Spectra of fifty windows differ by up to 1.5 limits.
@@ -153,6 +154,7 @@ def test_sensor_noise_is_not_an_effect_in_motion(tmp_path: Path) -> None:
     assert matched_statistic([plain], [other]) < 1.5 * LIMIT
 
 
+@pytest.mark.slow
 def test_a_delay_is_observable_only_against_another_recording(tmp_path: Path) -> None:
     """An accelerometer 20 ms late, beyond the 9 ms that its filter and a sample of 10 ms explain by half, is observable
     against a track; without a track and without another accelerometer it is not observable.

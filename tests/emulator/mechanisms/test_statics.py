@@ -164,6 +164,7 @@ def test_creep_adds_the_same_in_every_decade_and_boot():
     assert math.sqrt(np.mean(values[0][1] ** 2)) == pytest.approx(0.15)
 
 
+@pytest.mark.slow
 def test_stress_is_drawn_at_power_on_and_kept():
     runs = np.array([errors(PowerOnStress(scale_dps=0.2), "Gyro", [0, 60 * S], run=run) for run in range(400)])
     assert np.array_equal(runs[:, 0], runs[:, 1])

@@ -85,6 +85,7 @@ def test_single_frames_are_delayed_by_at_most_a_fifth_of_a_second() -> None:
     assert given_ + len(rest.time) == 100
 
 
+@pytest.mark.slow
 def test_a_log_shorter_than_a_window_is_passed_through() -> None:
     run = at_rest()
     fed = run.frames.part(slice(0, 3))

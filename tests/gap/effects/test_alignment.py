@@ -214,6 +214,7 @@ def test_nothing_is_suggested_without_a_turn() -> None:
         assert not list(guesses(evidence))
 
 
+@pytest.mark.slow
 def test_phases_are_weighted_by_their_errors() -> None:
     """0.1 at 10 standard deviations and -0.8 at one: weights 1e4 and 1.5625. nan means unknown in a phase."""
     evidence = evidence_of("motion", "G1", seed=3)

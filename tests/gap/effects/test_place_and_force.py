@@ -128,6 +128,7 @@ def test_a_nonlinearity_is_suggested_from_faces() -> None:
     assert effect.quadratic == pytest.approx((0.005,) * 3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_nonlinearity_of_a_gyroscope_is_not_suggested_from_faces() -> None:
     """A response to the square of force, in dps/g^2, is not a coefficient of the square of a rate."""
     evidence = evidence_of("tumble", "G1", {"G1": (GSensitivity((0.05, 0.02, 0.0) * 3),)}, seed=7)

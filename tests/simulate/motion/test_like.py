@@ -80,6 +80,7 @@ def test_the_truth_is_interpolated_between_its_rows(tmp_path: Path) -> None:
         assert felt.angular_acceleration_box == pytest.approx(slope, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_blocks_or_earlier_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.cumsum(np.random.default_rng(2).integers(1_000_000, 9_000_000, 2000))  # uneven
     path = write(tmp_path / "log.h5", tracks={"truth": track(rows)})
