@@ -30,7 +30,9 @@ def of_phase(term: Term, apart: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("term", ["quantisation", "white", "flicker", "random walk"])
 @pytest.mark.parametrize("ramp", [0.0, 0.3])
-@pytest.mark.parametrize("pair", some([(1, 1), (1, 2), (2, 16), (16, 16), (1, 60), (5, 60), (40, 60)], 3))
+@pytest.mark.parametrize(
+    "pair", some([((1, 1),), ((1, 2),), ((2, 16),), ((16, 16),), ((1, 60),), ((5, 60),), ((40, 60),)], 3)
+)
 def test_covariances_equal_sums_over_all_pairs(term: Term, ramp: float, pair: tuple[int, int]) -> None:
     """All pairs of second differences of 150 rows are summed; grouped lags change a correlation by up to 1 %."""
     rows, binomial = 150, np.array([1.0, -2.0, 1.0])

@@ -18,7 +18,7 @@ from scipy.stats import binom, kstest
 
 from imuarray.characterise import allan_deviation, allan_fit
 from imuarray.characterise.allan_fit import TERMS, UNITS, USUAL, AllanEstimate, NoiseFit, Term, fit_noise, merge_similar
-from tests.selection import examples, some
+from tests.selection import examples
 
 INTERVAL_S = 0.0025
 ROWS, REPEATS = 8192, 250
@@ -141,7 +141,10 @@ COEFFICIENTS: dict[Term, float] = {
 }
 
 
-@pytest.mark.parametrize("left_out", some([(), ("flicker",), ("quantisation", "ramp")], 1))
+@pytest.mark.parametrize(
+    "left_out",
+    [(), *(pytest.param(terms, marks=pytest.mark.slow) for terms in (("flicker",), ("quantisation", "ramp")))],
+)
 def test_an_exact_curve_gives_its_coefficients(left_out: tuple[Term, ...]) -> None:
     """The variance of IEEE Std 952, annex C, without scatter; a random walk of readings differs at first."""
     curve = allan_deviation(white(6, 1_000_000, 1)[:, 0], INTERVAL_S)

@@ -107,7 +107,7 @@ def movement_of(log: Log, phase: Phase, rests: Sequence[Phase]) -> Movement | No
     return movements_of(log, list(log.sensors), [phase], rests).get(phase)
 
 
-@pytest.mark.parametrize("missing_s", some([(0.0, 0.0), (5.0, 6.5)], 1))
+@pytest.mark.parametrize("missing_s", some([((0.0, 0.0),), ((5.0, 6.5),)], 1))
 def test_the_movement_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, float]) -> None:
     """Force and rate within 4 mg and 0.1 dps (biases average to 2.5 mg, those of gyroscopes are known from the rest),
     and the angular acceleration within 5 %, for any orientation of the sensors; a sensor that lacks rows causes no
