@@ -34,7 +34,6 @@ AUTO_INCREMENT = 0x80  # the top bit of the sub-address
 # sheet's typical 1, 2, 4 and 12 mg a digit.
 SPEC = ChipSpec(
     quantity="specific_force",
-    unit="g",
     addresses=ADDRESSES,
     identity=WHO_AM_I,
     label="LIS{}",
