@@ -167,18 +167,19 @@ def choose_grid(first: Sequence[Times], groups: Sequence[Sequence[int]], where: 
     enough = [number for number, time in enumerate(first) if len(time) >= 3]
     if not enough:
         raise FusionError(f"{where[0]}: {counted(len(first[0]), 'row')}; at least three are required")
-    alike = _first_alike(first)
-    periods_alike = {number: _period_ns(first[number]) for number in {alike[number] for number in enough}}
-    periods = {number: periods_alike[alike[number]] for number in enough}
+    first_equal = _first_equal(first)
+    periods_of_first = {number: _period_ns(first[number]) for number in {first_equal[number] for number in enough}}
+    periods = {number: periods_of_first[first_equal[number]] for number in enough}
     usual = sorted(periods.values())[(len(periods) - 1) // 2]  # the lower median: no reading of a faster half is lost
     regular = [number for number in enough if abs(periods[number] - usual) <= _SAME_PERIOD * usual]
-    delays_alike = {number: _delay(first[number], first, groups, usual) for number in {alike[k] for k in regular}}
-    delays = {number: delays_alike[alike[number]] for number in regular}
+    distinct = {first_equal[number] for number in regular}
+    delays_of_first = {number: _delay(first[number], first, groups, usual) for number in distinct}
+    delays = {number: delays_of_first[first_equal[number]] for number in regular}
     best = sorted(regular, key=lambda number: (round(delays[number] / _TIE), number))
     return FrameGrid(tuple(best), periods[best[0]])
 
 
-def _first_alike(times: Sequence[Times]) -> list[int]:
+def _first_equal(times: Sequence[Times]) -> list[int]:
     """Return, for each array of times, the number of the first one that is equal: sensors that are read at once."""
     numbers: dict[bytes, int] = {}
     return [numbers.setdefault(time.tobytes(), number) for number, time in enumerate(times)]
