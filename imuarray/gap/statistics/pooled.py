@@ -1,17 +1,17 @@
 """Scores of all statistics of a sensor in a log, pooled.
 
-The largest of thousands of scores shows a deviation that is large in one place. An effect that moves tens of statistics
-a little, such as the levels of all faces, exceeds the largest score by chance in none of them. The norm of what the
-normal scores z of a sensor in a log exceed `BEYOND` by,
+The largest of thousands of scores detects a deviation that is large in one place. An effect that changes tens of
+statistics slightly, for example the levels of all faces, exceeds the largest score that is expected by chance in none
+of them. It is detected by the norm of the excess of the normal scores z of a sensor in a log over `BEYOND`,
 
     S = sqrt(sum(max(|z| - BEYOND, 0)^2)),
 
-shows it: once for each log of a sensor, and once for all of its logs. Smaller scores are left out, since a fit that is
-slightly wrong shifts many of them. Statistics are not independent, since the noise, the attitude and the fit are common
-to them; S is therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
+which is computed for each log of a sensor and for all of its logs. Smaller scores are left out, since a slightly wrong
+fit shifts many of them. Statistics are not independent, since they share the noise, the attitude and the fit; S is
+therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
 
-A sensor that is late, or at another place in the box, deviates on all of its axes in the same direction in its response
-to motion. The scores of each statistic of a motion are therefore summed over the axes too.
+The response to motion of a sensor that is late, or mounted at another place in the box, deviates in the same direction
+on all of its axes. The scores of each statistic of a motion are therefore also summed over the axes.
 """
 
 from __future__ import annotations
@@ -25,31 +25,32 @@ from imuarray.arrays import Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 
 BEYOND = 1.0
-"""Normal score from which on a place counts. With the largest single score alone 58 of 72 cases with a mechanism were
-detected, and 7 of 120 without one; with this norm in addition 63 and 5, and 59 to 62 with other values from 0 to 1.5.
+"""Normal score above which a statistic contributes to the norm. Using only the largest single score, 58 of 72 cases
+with a mechanism were detected, and one was reported in 7 of 120 cases without; with this norm in addition, 63 and 5.
+Other values from 0 to 1.5 detected 59 to 62.
 """
 
 FEWEST_PLACES = 6
-"""Places from which scores are pooled: fewer say little more than the largest of them."""
+"""Least number of statistics whose scores are pooled: the pool of fewer adds little to the largest of them."""
 
 _LEAST_SPREAD = 0.15
-"""Least scatter of S."""
+"""Least standard deviation by which a pooled score or a sum over axes is divided."""
 
 _QUANTILES = (0.5, 0.9)
-"""Quantiles of the largest score of a campaign that pooled scores share with single ones. Pooled ones have longer
-tails: with a common 95 % quantile they hid single deviations.
+"""Quantiles of the largest score of a campaign that are made equal for pooled and single scores. Pooled scores have
+longer tails: when the 95 % quantiles were made equal, single deviations were missed.
 """
 
 _LEAST_STRETCH = 0.1
-"""Least difference between the two quantiles: a few pooled scores may be equal in all campaigns."""
+"""Least difference between the two quantiles that is assumed: a few pooled scores may be equal in all campaigns."""
 
 
 class PooledScores(NamedTuple):
-    """Scores (b, k) of k pools and sums in b campaigns, and the places (k,) of the single statistic of each that
+    """Scores (b, k) of k pools and sums in b campaigns, and for each the place (k,) of the single statistic that
     deviates most in the first campaign.
 
-    They are comparable with the normal scores of single statistics: the largest of a campaign has the same median and
-    the same 90 % quantile. Neither hides the other.
+    They are comparable with the normal scores of single statistics: the largest score of a campaign has the same median
+    and the same 90 % quantile, so that neither kind masks the other.
     """
 
     scores: Floats
@@ -57,9 +58,10 @@ class PooledScores(NamedTuple):
 
 
 def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
-    """Pools the normal scores (b, m) of campaigns under the keys.
+    """Pool the normal scores (b, m) of b campaigns for m keys.
 
-    Each campaign is scored by the others: if all are of one kind, each is equally likely to be the most extreme.
+    Each campaign is scored against the others: if all have the same distribution, each is equally likely to be the most
+    extreme.
     """
     sizes = np.nan_to_num(np.abs(normal))
     excess = np.maximum(sizes - BEYOND, 0.0)
@@ -76,7 +78,7 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
 
 
 def _motion_axes(keys: Sequence[Key]) -> Iterator[Indices]:
-    """Yield the places of each statistic of the response to a motion, on all axes of a sensor."""
+    """Yield, for each statistic of the response to a motion, its places on all axes of a sensor."""
     by_statistic: dict[tuple[int, str, int, str], list[int]] = {}
     for at, key in enumerate(keys):
         if key.domain == "motion":
@@ -97,7 +99,9 @@ def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
 
 
 def _standardise_by_others(values: Floats) -> Floats:
-    """Return deviations (b, k) of values (b, k) from the mean of the other campaigns, over their standard deviation."""
+    """Return deviations (b, k) of values (b, k) from the mean of the other campaigns, divided by their standard
+    deviation.
+    """
     others = max(len(values) - 1, 1)
     means = (values.sum(axis=0) - values) / others
     squares = values**2
@@ -106,8 +110,8 @@ def _standardise_by_others(values: Floats) -> Floats:
 
 
 def _with_largest_of(scores: Floats, singles: Floats) -> Floats:
-    """Return the scores (b, k), stretched and shifted so that their largest in each campaign is distributed as the
-    largest of `singles` (b, m) is; 0 where that would be negative.
+    """Return the scores (b, k), scaled and shifted so that the largest of each campaign has the same `_QUANTILES` as
+    the largest of `singles` (b, m); negative results are set to 0.
     """
     middle, high = np.quantile(scores.max(axis=1), _QUANTILES)
     single_middle, single_high = np.quantile(singles.max(axis=1), _QUANTILES)

@@ -21,15 +21,15 @@ PARTS = 16
 
 _LEAST_SPREAD = 0.2
 _LEAST_GROUP = 2
-"""The fewest runs in a state that is no outlier."""
+"""Least number of runs in a group: a single run is an outlier, not a state."""
 
 
 @dataclass(frozen=True)
 class Runs:
     """Runs of one sensor, in its unit, along its own axes.
 
-    `means` (r, 3); `errors` (r, 3), their standard errors if readings in a run are independent; `profiles` (r, 16, 3),
-    the mean over parts of each run less the run's mean.
+    `means` (r, 3); `errors` (r, 3), their standard errors, computed as if the readings of a run were independent;
+    `profiles` (r, 16, 3), the means over parts of each run less the run's mean.
     """
 
     header: SensorHeader
@@ -45,15 +45,15 @@ class Runs:
 
     @cached_property
     def spread(self) -> Floats:
-        """Robust standard deviation (3,) of the means, at least a fifth of that of independent readings: means of the
-        same few hundred integers are often equal.
+        """Robust standard deviation (3,) of the means, at least a fifth of the rms standard error `errors`: the means
+        of a few hundred integers are often equal.
         """
         least = _LEAST_SPREAD * np.sqrt((self.errors**2).mean(axis=0))
         return np.asarray(np.maximum(robust_std(self.means), least))
 
     @property
     def joint_distance(self) -> Floats:
-        """(r,) distance of each run from the median over all three axes."""
+        """(r,) norm over the three axes of each run's `deviations` from the median."""
         return np.asarray(np.sqrt((self.deviations**2).sum(axis=1)))
 
     @cached_property
@@ -66,12 +66,12 @@ def divide(means: Floats, variances: Floats, least: int = _LEAST_GROUP) -> tuple
     """Divide runs into the two groups that scatter least within themselves, along the direction of the largest scatter.
 
     `means` (r, k) of r runs on k axes; `variances` (r, k) of their errors. Returns which runs are in the group of the
-    larger values, and the log of the scatter about a common mean over that within the groups, all axes in units of
-    their own scatter. A group has at least `least` runs. nan with fewer runs than two groups need, or if no axis
-    scatters.
+    larger values, and the log of the ratio of the variance about a common mean to the variance within the groups, with
+    each axis in units of its own scatter. A group has at least `least` runs. The ratio is nan with fewer runs than two
+    groups need, or if no axis scatters.
 
-    Two states that all axes change between leave hardly any scatter within the groups; a drift leaves a quarter, and
-    normal scatter of axes that are independent a half.
+    If all axes change between two states, hardly any variance remains within the groups; with a drift a quarter
+    remains, and with normal scatter on independent axes a half.
     """
     count = len(means)
     total = means.var(axis=0) if count else np.zeros(means.shape[1])
@@ -93,7 +93,9 @@ def divide(means: Floats, variances: Floats, least: int = _LEAST_GROUP) -> tuple
 
 
 def runs_of(summaries: Sequence[Summary]) -> Runs:
-    """Return the runs of one sensor, each by the phase that represents it, in the order of recording."""
+    """Return the runs of one sensor from one summary per run, in the order of recording; summaries without rows are
+    left out.
+    """
     scale = 1 / summaries[0].header.sensitivity
     known = [summary for summary in summaries if summary.rows]
     means, errors, profiles = zip(*(_of_run(summary) for summary in known), strict=True) if known else ((), (), ())
@@ -106,7 +108,7 @@ def runs_of(summaries: Sequence[Summary]) -> Runs:
 
 
 def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
-    """Return the mean, its error and profile of one run, in counts."""
+    """Return the mean, its standard error and the profile of one run, in counts."""
     part = summary.segments
     has_rows, total = part.rows > 0, part.rows.sum()
     sums = np.where(has_rows[:, None], part.rows[:, None] * part.mean, 0.0)
@@ -118,7 +120,7 @@ def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
 
 @cache
 def _spans(segments: int) -> list[tuple[int, int]]:
-    """Segments [first, stop) of each part of the profile; at least one, the nearest."""
+    """Return the segments [first, stop) of each part of the profile: at least one, the nearest to its middle."""
     edges = np.linspace(0, segments, PARTS + 1)
     middles = np.floor((edges[:-1] + edges[1:]) / 2).astype(int).tolist()
     bounds = np.rint(edges).astype(int).tolist()

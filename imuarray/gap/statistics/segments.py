@@ -18,10 +18,10 @@ POWERS = 4
 class Segments:
     """s parts of a phase, of `width_s` each; nan where a part has no readings.
 
-    `rows` (s,); `time_s` (s,) their mean time; `temperature_degc` (s,) at that time and `warming_degc_per_s` (s,) from
-    one end of the part to the other, by the reference; `mean` (s, 3) and the central moments `variance`, `third`,
-    `fourth` (s, 3), divided by the rows, in counts and their powers; `thermometer` (s,) the mean count of the chip's
-    own thermometer, nan if it gives none.
+    `rows` (s,) is the number of rows and `time_s` (s,) their mean time; `temperature_degc` (s,) is the reference
+    temperature at that time and `warming_degc_per_s` (s,) its mean rate of change over the part; `mean` (s, 3) and the
+    central moments `variance`, `third`, `fourth` (s, 3), divided by the number of rows, are in counts and their powers;
+    `thermometer` (s,) is the mean count of the chip's own thermometer, nan if it has none.
     """
 
     width_s: float
@@ -37,7 +37,7 @@ class Segments:
 
     @cached_property
     def steady_variance(self) -> Floats:
-        """Variance (s, 3) less that of a straight line through the part, at least that of rounding, 1/12.
+        """Variance (s, 3) less that of a straight line through the part; at least 1/12, the variance of rounding.
 
         The slope of the line follows from the means of the neighbouring parts: a change by c in equal steps has a
         variance of c^2 / 12.
@@ -46,12 +46,12 @@ class Segments:
         if len(change) > 1:
             change[1:-1] = (self.mean[2:] - self.mean[:-2]) / 2
             change[0], change[-1] = self.mean[1] - self.mean[0], self.mean[-1] - self.mean[-2]
-        # of a part beside one without readings the change is nan, and the variance stays
+        # next to a part without readings the change is nan, and the variance is not reduced
         return np.asarray(np.fmin(self.variance, np.maximum(self.variance - change * change / 12, 1 / 12)))
 
 
 class SegmentTally:
-    """Accumulates powers of the readings of [start_ns, end_ns) in `count` parts; of so many `replicates` at once, whose
+    """Accumulates powers of the readings of [start_ns, end_ns) in `count` parts, for several `replicates` at once whose
     rows have the same times.
     """
 
@@ -80,7 +80,7 @@ class SegmentTally:
             self._thermometer[:, part] += np.add.reduceat(np.atleast_2d(thermometers).astype(float), starts, axis=1)
 
     def result(self, origin: Floats, temperature: Temperature) -> Segments:
-        """Return the parts of the only replicate; `origin` (3,) in counts is what deviations were taken from."""
+        """Return the parts of the only replicate; `origin` (3,) is the reading in counts that was subtracted."""
         (segments,) = self.results(origin, temperature)
         return segments
 
@@ -106,7 +106,7 @@ class SegmentTally:
         ]
 
     def _moments(self, origin: Floats, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Means (s, 3 r), and central moments."""
+        """Return the means (s, 3 r) and the second to fourth central moments (s, 3 r)."""
         first, second, third, fourth = self._powers / rows[:, None]
         square = first * first
         return (
@@ -117,7 +117,7 @@ class SegmentTally:
         )
 
     def _parts(self, time_ns: Times) -> tuple[Indices, Indices, Indices]:
-        """Return the parts that the times lie in, the first row of each and its number of rows."""
+        """Return the parts that contain the times, the first row of each part and its number of rows."""
         ends = np.searchsorted(self._edges, time_ns[[0, -1]], side="right") - 1
         part = np.arange(ends[0], ends[1] + 1)
         starts = np.searchsorted(time_ns, self._edges[part])

@@ -1,10 +1,10 @@
 """The split of a campaign into a training part, to which parameters are fitted, and a held-out part.
 
-Of several logs of one kind every second one is held out; of a log that is the only one of its kind, the second half of
-every phase. So it is of a series of boots that is too short for two parts, and of a few motions or heatings, each of
-which may have another axis or face: both parts then have all of them. Both parts thus have the same faces and phases,
-and the fit to one has not seen the other. Logs with and without a phase at rest are of two kinds: only the former
-determine noise and bias.
+If there are several logs of one kind, every second one is held out. If a log is the only one of its kind, the second
+half of each of its phases is held out. Phases are halved too in a series of boots that is too short for two parts, and
+in a few motions or heatings, each of which may have another axis or face, so that both parts contain all of them. Both
+parts thus have the same faces and phases, and the fit uses only one of them. Logs with and without a phase at rest
+count as two kinds, since only the former determine noise and bias.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.log.format import Phase
 
 FEWEST_RUNS = 4
-"""Fewer runs of a turn-on series say nothing of what varies from run to run."""
+"""Least number of runs of a turn-on series from which the variation from run to run is estimated."""
 
 
 _HALVED = {"turn-on": range(FEWEST_RUNS, 3 * FEWEST_RUNS), "motion": range(2, 4), "heating": range(2, 4)}
-"""Numbers of logs of a kind that are too few to hold out every second of them."""
+"""Numbers of logs of a kind at which phases are halved, since there are too few logs to hold out every second one."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """The part of one log that is used: `phases`, their `numbers` in the log, and whether each is held out; `half` if
-    they are halves.
+    """The part of one log that is used: `phases`, their `numbers` in the log, and whether each is held out; `half` is
+    true if the phases are halves of those of the log.
     """
 
     phases: tuple[Phase, ...]
@@ -52,19 +52,19 @@ class Split:
     shares: tuple[Share, ...]
 
     def train(self, campaign: Campaign) -> Side:
-        """Return the part to fit to."""
+        """Return the part that the model is fitted to."""
         return self._side(campaign, False)
 
     def held_out(self, campaign: Campaign) -> Side:
-        """Return the part to judge by."""
+        """Return the part that the fitted model is tested on."""
         return self._side(campaign, True)
 
     def both(self, campaign: Campaign) -> Side:
-        """Everything, as one part."""
+        """Return the whole campaign as one part."""
         return Side(campaign, tuple(range(len(campaign.logs))))
 
     def phases(self, held_out: bool | None = None) -> tuple[tuple[Phase, ...], ...]:
-        """Return the phases that are used of each log: of both parts (None), or of one."""
+        """Return the phases of each log that are used: those of both parts (None), or of one part."""
         return tuple(tuple(share.phases[at] for at in _places(share, held_out)) for share in self.shares)
 
     @property
@@ -110,8 +110,8 @@ def _places(share: Share, held_out: bool | None) -> list[int]:
 
 
 def _part(log: LogSummary, share: Share, held_out: bool) -> LogSummary:
-    """Return the phases of one part of a log that was summarised in all phases of its share, or in those of this part
-    only.
+    """Return the summary of a log with only the phases of one part. The log was summarised in all phases of its share,
+    or only in those of this part.
     """
     places = _places(share, held_out)
     chosen = places if len(log.phases) == len(share.phases) else range(len(log.phases))

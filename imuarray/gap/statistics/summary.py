@@ -1,8 +1,8 @@
 """Summary of one sensor in one phase, from one pass over its rows in bounded memory.
 
-Rows are taken as they come, flagged ones too: a simulation of the same plan flags and misses the same rows, so that
-nothing has to be cleaned before the comparison. Correlations, spectra and Allan variances count in rows, not in
-seconds: neighbours in the log are neighbours, whatever time lies between.
+All rows are used, including flagged ones: a simulation of the same plan flags and misses the same rows, so the data
+need no cleaning before the comparison. Correlations, spectra and Allan variances are computed over rows, not over
+seconds: successive rows of the log are neighbours, whatever the time between them.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ OCTAVES = 14
 """Averaging factors up to 8192 rows."""
 
 SPIKES = 8
-"""Spikes of each axis that are kept."""
+"""Number of spikes that are kept for each axis."""
 
 _SEGMENTS = 64
 _SEGMENT_ROWS = 16
-"""Fewest rows of a part of a phase; a short phase has fewer parts."""
+"""Least number of rows in a part of a phase; a short phase has fewer parts."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Resolution at which a phase is summarised: rows of a spectrum's segment, parts of the phase.
+    """Resolution at which a phase is summarised: rows in a segment of the spectrum, and parts of the phase.
 
-    Statistics can be compared between equal grids, so simulations get that of the recorded phase.
+    Statistics are comparable only between equal grids, so simulations use the grid of the recorded phase.
     """
 
     spectrum_rows: int
@@ -53,7 +53,7 @@ class Grid:
 
     @classmethod
     def of(cls, rows: int) -> Grid:
-        """Return the grid for a phase of so many rows."""
+        """Return the grid for a phase of `rows` rows."""
         return cls(segment_rows(max(rows, 1)), min(_SEGMENTS, max(2, rows // _SEGMENT_ROWS)))
 
 
@@ -61,12 +61,13 @@ class Grid:
 class Summary:
     """Summary of one sensor in one phase; arrays have a column for each axis, counts are raw.
 
-    `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram for each axis;
-    `spectrum` in squared counts per cycle per row; `alternating`, the mean of the readings with alternating signs;
-    `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared differences of neighbours at lags 0 ...
-    3; `allan` at octaves; `spikes` (8, 3), the largest in a motion, nan at rest; `intervals` of time, joint
-    `repeats` of all axes, rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0,
-    `slips` of the polls against the data clock, and of a recording its isolated readings `outliers`.
+    `segments`: moments in equal parts of the phase. `codes` and `steps`: one histogram per axis of the codes and of the
+    sizes of differences between neighbours. `spectrum`: in squared counts per cycle per row. `alternating`: mean of the
+    readings with alternating signs. `correlation` (6, 3): at lags 0 ... 5. `arch` (4, 3): correlation of the squared
+    differences between neighbours at lags 0 ... 3. `allan`: Allan variances at octaves. `spikes` (8, 3): the largest
+    spikes in a motion, nan at rest. `intervals`: times between rows. `repeats`: repetitions on all axes jointly.
+    `flags`: number of rows with each of the log's flags. `words`: number of rows in which all axes read -1, or all 0.
+    `slips`: slips of the polls against the data clock. `outliers`: isolated readings, only of a recording.
     """
 
     header: SensorHeader
@@ -91,10 +92,10 @@ class Summary:
 
 
 class Tally:
-    """Accumulates the blocks of one sensor in one phase; of so many `replicates` at once, whose rows have the same
-    times, since calls of NumPy dominate for few rows.
+    """Accumulates the blocks of one sensor in one phase, for several `replicates` at once whose rows have the same
+    times: with few rows the overhead of NumPy calls dominates.
 
-    `outliers`: also collects isolated readings, of which no statistic is made.
+    `outliers`: also collect isolated readings, which no statistic uses.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class Tally:
         self._spikes = None if is_at_rest(phase) else SpikeTally(columns)
 
     def update(self, *blocks: Block) -> None:
-        """Add rows of each replicate, at least one."""
+        """Add rows of each replicate, at least one row."""
         time = blocks[0].time
         counts = np.ascontiguousarray(np.concatenate([block.counts.T for block in blocks]))
         deviations = counts.astype(np.float64)
@@ -148,12 +149,12 @@ class Tally:
             outliers.update(time, deviations[3 * at : 3 * at + 3])
 
     def result(self, temperature: Temperature) -> Summary:
-        """Return the summary of the rows so far, of the only replicate."""
+        """Return the summary of the rows added so far, for the only replicate."""
         (summary,) = self.results(temperature)
         return summary
 
     def results(self, temperature: Temperature) -> list[Summary]:
-        """Return the summaries of the rows so far, of each replicate."""
+        """Return the summaries of the rows added so far, one for each replicate."""
         replicates = len(self._repeats)
         spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
         tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance, haar.kurtosis)
@@ -196,8 +197,8 @@ class Tally:
 class SpikeTally:
     """Collects the largest spikes of each column while the steps of readings arrive.
 
-    The second differences about a reading that is off by d are d, -2 d and d. Its size as a spike is the least of these
-    three with their signs (the middle one halved), and 0 where they do not alternate, as in a motion, whose curvature
+    The second differences around a reading that is off by d are d, -2 d and d. The size of a spike is the smallest of
+    these three magnitudes (the middle one halved). It is 0 where the signs do not alternate: the curvature of a motion
     has the same sign from row to row.
     """
 
@@ -218,7 +219,7 @@ class SpikeTally:
         self._largest = -np.sort(-np.partition(every, -SPIKES, axis=1)[:, -SPIKES:], axis=1).T
 
     def result(self) -> Floats:
-        """Return the sizes (`SPIKES`, columns) of the largest spikes so far, the largest first; 0 for none."""
+        """Return the sizes (`SPIKES`, columns) of the largest spikes so far in descending order, padded with zeros."""
         return self._largest
 
 
@@ -229,8 +230,8 @@ def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
 
 
 def side_by_side(replicates: Sequence[Summary]) -> Summary:
-    """Join replicates whose rows have the same times into one summary with three columns for each, for statistics that
-    are computed column by column; the rest is that of the first replicate.
+    """Join replicates whose rows have the same times into one summary with three columns per replicate, for statistics
+    that are computed column by column. All other fields are those of the first replicate.
     """
     first = replicates[0]
     if len(replicates) == 1:

@@ -1,12 +1,12 @@
 """Normal scores: a common measure of scores whose tails differ.
 
-The scores of some statistics are nearly normal, those of others have heavy tails: a level that a fit makes zero in most
-replicates, a share of rare rows. The largest of all scores would be one of the latter in almost every replicate, and
-hide any other deviation. Each score is therefore replaced by the deviation of a normal quantity that chance exceeds as
-rarely.
+The scores of some statistics are nearly normal; those of others have heavy tails, for example a level that the fit
+makes zero in most replicates, or the share of rare rows. One of the latter would be the largest of all scores in almost
+every replicate and would mask any other deviation. Each score is therefore replaced by the normal score with the same
+tail probability.
 
 The tail is that of Student's t, fitted to the scores of one statistic of one sensor over phases, axes and replicates:
-the scale by their 90 % quantile, the degrees of freedom by the most probable of a few.
+the scale is fitted to their 90 % quantile, and the degrees of freedom are the most probable of a few values.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from imuarray.arrays import Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 
 FREEDOMS = (4.0, 6.0, 8.0, 12.0, 20.0, 40.0)
-"""Degrees of freedom of tails, up to those of normal statistics whose scatter is estimated from 40 replicates.
+"""Degrees of freedom of tails that are tried, up to those of normal statistics whose scatter is estimated from 40
+replicates.
 
-A hundred scores determine no tail beyond the largest of them. With fewer than 4 degrees of freedom no score, however
-large, would be beyond chance: a hundred standard deviations of a Cauchy distribution are 2.5 of a normal one.
+A hundred scores do not determine the tail beyond the largest of them. With fewer than 4 degrees of freedom even a very
+large score would not be significant: 100 scale units of a Cauchy distribution correspond to a normal score of 2.5.
 """
 
 HEAVIER = 1.0
-"""Nats by which a tail of a tenth of the degrees of freedom is less probable beforehand. A hundred scores often leave
-it open: without this a statistic of normal scores had 6 degrees of freedom, with which 8.1 standard deviations are 3.9
-normal ones. With it 60 of 72 cases with a mechanism were detected instead of 57.
+"""Log prior, in nats, against a tail with a tenth of the degrees of freedom. A hundred scores often do not determine
+the degrees of freedom: without the prior a statistic with normal scores got 6 of them, which turn 8.1 standard
+deviations into a normal score of 3.9. With the prior 60 of 72 cases with a mechanism were detected instead of 57.
 """
 
 QUANTILE = 0.9
-"""Share of the sizes of scores below the point at which the scale of a tail is fitted."""
+"""Quantile of the absolute scores to which the scale of a tail is fitted."""
 
 _FREEDOM = np.array(FREEDOMS)
 _AT_QUANTILE = stdtrit(_FREEDOM, (1 + QUANTILE) / 2)
@@ -42,11 +43,11 @@ _PRIOR = HEAVIER * np.log10(_FREEDOM / _FREEDOM.max())
 _CONSTANT = gammaln((_FREEDOM + 1) / 2) - gammaln(_FREEDOM / 2) - np.log(_FREEDOM * np.pi) / 2
 
 _LEAST_SIZE = 0.05
-"""Size at the quantile below which a statistic hardly ever has another value: there is no tail to be fitted."""
+"""Absolute score at the quantile below which no tail is fitted: the statistic has nearly always the same value."""
 
 _LEAST_SCALE = 0.5
 """Least scale of a tail. A statistic that has one value in nearly all replicates (rows with a flag, absent codes), or
-differs by less than its resolution, has smaller scores, of which the usual largest says nothing.
+that varies by less than its resolution, has smaller scores, which do not determine the scale.
 """
 
 _LEAST_SHARE = 1e-300
@@ -54,25 +55,25 @@ _LEAST_SHARE = 1e-300
 
 @dataclass(frozen=True)
 class Tail:
-    """A tail: Student's t with so many degrees of `freedom`, times the `scale`."""
+    """A tail: Student's t with `freedom` degrees of freedom, multiplied by `scale`."""
 
     freedom: float
     scale: float
 
     def normal(self, sizes: Floats) -> Floats:
-        """Return the normal deviations that chance exceeds as rarely as `sizes` of scores."""
+        """Return the normal scores with the same tail probabilities as the absolute scores `sizes`."""
         share = np.maximum(stdtr(self.freedom, -sizes / self.scale), _LEAST_SHARE)
         return np.asarray(-ndtri(share))
 
 
 @dataclass(frozen=True)
 class Tails:
-    """Tails by probe and sensor; scores of others stay as they are."""
+    """Tails by probe and sensor; scores of probes and sensors without a tail are not changed."""
 
     by_statistic: Mapping[tuple[str, str], Tail]
 
     def normal(self, scores: Floats, keys: Sequence[Key]) -> Floats:
-        """Normal scores (m,) of scores (m,) under the keys, with their signs."""
+        """Return the normal scores (m,) of the scores (m,) of the keys, with their signs."""
         values = np.array(scores)
         for statistic, places in _statistics(keys).items():
             if statistic in self.by_statistic:
@@ -84,11 +85,11 @@ class Tails:
 
 
 NO_TAILS = Tails({})
-"""Leaves all scores as they are."""
+"""Tails that leave all scores unchanged."""
 
 
 def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
-    """Return the tails of scores (b, m) of replicates without a gap."""
+    """Return the tails fitted to the scores (b, m) of replicates without a gap."""
     fits = {statistic: _fit(np.abs(chance[:, places])) for statistic, places in _statistics(keys).items()}
     return Tails(
         {name: fit.tail(int((fit.density.sum(axis=1) + _PRIOR).argmax())) for name, fit in fits.items() if fit}
@@ -96,8 +97,9 @@ def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
 
 
 def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
-    """Normal scores (b, m) of campaigns with scores (b, m), each by the tails of the others: if all are of one kind,
-    each is still equally likely to be the most extreme.
+    """Return the normal scores (b, m) of campaigns with scores (b, m), each by the degrees of freedom that are most
+    probable for the others and the common scale: if all campaigns have the same distribution, each is still equally
+    likely to be the most extreme.
     """
     values = np.array(scores)
     for places in _statistics(keys).values():
@@ -116,7 +118,7 @@ def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
 
 @dataclass(frozen=True)
 class _Fit:
-    """`scales` (f,) for each number of degrees of freedom, and the log `density` (f, b) of each campaign's scores."""
+    """Scale (f,) for each number of degrees of freedom, and the log `density` (f, b) of each campaign's scores."""
 
     scales: Floats
     density: Floats
@@ -126,7 +128,7 @@ class _Fit:
 
 
 def _fit(sizes: Floats) -> _Fit | None:
-    """Return the fit to sizes (b, k) of scores; None where there is no tail."""
+    """Return the fit to absolute scores (b, k); None if no tail can be fitted."""
     is_known = np.isfinite(sizes)
     if not is_known.any():
         return None
