@@ -1,3 +1,3 @@
-"""Summaries of a campaign from one pass over its rows, the statistics that probes compute from them, and their
-likelihood.
+"""Summaries of a campaign, computed in one pass over its rows, the statistics that probes compute from them, and the
+likelihood of the statistics.
 """

@@ -1,14 +1,16 @@
-"""Common moments of the sensors of one phase: means over common windows of time, and their covariances.
+"""Joint moments of the sensors in one phase: means over common windows of time, and their covariances.
 
-A window's mean is that of the rows in it; nothing is interpolated. Windows make up segments: variation between segments
-is slow, variation between windows within a segment is fast. Moments are kept along the sensors' own axes, where errors
-of one design have the same sign; the mounting turns them into the box's axes, where motion is.
+The mean of a window is that of its rows; nothing is interpolated. Windows are grouped into segments: variation between
+segments is slow, variation between windows within a segment is fast. Moments are kept along the sensors' own axes,
+along which errors of one design have the same sign; the mounting rotates them into the axes of the box, along which
+motion is common.
 
-Products of the mean angular rate and its derivative are further columns: the lever-arm acceleration of a sensor is
-linear in them; and cubes of the mean angular rate, in which a response that bends is linear. The only sensor of its
-quantity has nothing to be compared with but the track of an instrument, if there is one; of two sensors, only a track
-tells which one is wrong. What it felt at the times of such a sensor's rows makes up further columns. Of three sensors
-and more the first has such columns too: they tell whether the clock of all drifts away from the track's.
+Further columns are products of the mean angular rate and its derivative, in which the lever-arm acceleration of a
+sensor is linear, and cubes of the mean angular rate, in which a nonlinear response is linear. A single sensor of its
+quantity can only be compared with the track of an instrument, and of two sensors only a track determines which one is
+wrong. For each sensor of which the array has fewer than three, the values of the track at the times of the sensor's
+rows are therefore further columns. With three sensors or more the first of them has such columns too: they show whether
+the common clock of the sensors drifts relative to that of the track.
 """
 
 from __future__ import annotations
@@ -28,15 +30,17 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.units import SI_PER_UNIT
 
 KINEMATIC, CUBES = 9, 3
-"""The last columns: six products of angular rates and three angular accelerations; three cubes of angular rates. They
-are those of the gyroscopes, or without one of the track; zeros without either.
+"""Numbers of the last columns: six products of angular rates and three angular accelerations; three cubes of angular
+rates. They are computed from the gyroscopes, or from the track if there is no gyroscope; zeros without either.
 """
 
 SQUARES = (0, 3, 5)
-"""The places of the squares xx, yy and zz among the six products."""
+"""Places of the squares xx, yy and zz among the six products."""
 
 ENOUGH = 3
-"""Sensors of a quantity that tell which of them is wrong without a track: they are not compared with one."""
+"""Number of sensors of a quantity from which on they are compared only with each other: three sensors determine which
+of them is wrong without a track.
+"""
 
 SEGMENTS = 64
 _SEGMENT_WINDOWS = 8
@@ -47,15 +51,15 @@ _PRODUCTS = np.triu_indices(3)
 
 @dataclass(frozen=True)
 class Cross:
-    """Second moments of window means of m sensors, in their units, along their own axes, three columns each, of the
-    track beside each of the sensors `with_track`, in that sensor's unit along the box's axes, and of the `KINEMATIC`
-    (rad^2/s^2) and `CUBES` columns (rad^3/s^3).
+    """Second moments of window means. The p columns are: three for each of m sensors, in its unit along its own axes;
+    three of the track for each of the sensors `with_track`, in that sensor's unit along the box's axes; the `KINEMATIC`
+    (rad^2/s^2) and the `CUBES` columns (rad^3/s^3).
 
-    `slow` (s, p) are means of the segments (nan for one without enough windows in which all sensors read); `fast` (p,
-    p) is the mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the
-    mean product of the first column and the change of the second, half of that from the window before to the one after
-    less its mean in the segment, and `changes` (p, p) that of two changes. Without changes (`CrossTally`) both are nan
-    and the `KINEMATIC` and `CUBES` columns 0.
+    `slow` (s, p) are the means of the segments (nan for a segment with too few windows in which all sensors have rows);
+    `fast` (p, p) is the mean product of two columns less their segments' means, over `windows` windows. `turning` (p,
+    p) is the mean product of the first column and the change of the second; the change is half of the difference
+    between the next and the previous window, less its mean in the segment. `changes` (p, p) is the mean product of two
+    changes. Without changes (`CrossTally`) both are nan and the `KINEMATIC` and `CUBES` columns 0.
     """
 
     sensors: tuple[SensorHeader, ...]
@@ -69,17 +73,17 @@ class Cross:
     with_track: tuple[str, ...] = ()
 
     def columns(self, sensor: str) -> slice:
-        """Return the columns of a sensor's three axes; KeyError for a sensor that isn't there."""
+        """Return the columns of a sensor's three axes; KeyError for an unknown sensor."""
         return slice(3 * self._places[sensor], 3 * self._places[sensor] + 3)
 
     def track_columns(self, sensor: str) -> slice:
-        """Return the columns of the track beside a sensor; ValueError for a sensor without."""
+        """Return the columns of the track at a sensor's times; ValueError for a sensor without them."""
         first = 3 * (len(self.sensors) + self.with_track.index(sensor))
         return slice(first, first + 3)
 
     @cached_property
     def tracked(self) -> tuple[str, ...]:
-        """The sensors that are compared with the track: those of which there are few."""
+        """The sensors that are compared with the track: those of a quantity with fewer than `ENOUGH` sensors."""
         quantities = [sensor.quantity for sensor in self.sensors]
         return tuple(name for name in self.with_track if quantities.count(self.header(name).quantity) < ENOUGH)
 
@@ -98,12 +102,12 @@ class Cross:
         return self.sensors[self._places[sensor]]
 
     def others(self, sensor: str, *, family: bool) -> tuple[str, ...]:
-        """Return the sensors of the same chip, or else all others that measure the same."""
+        """Return the other sensors of the same quantity: those of the same chip type (`family`), or all."""
         return self._others[sensor, family]
 
     def reference(self, sensor: str) -> Floats | None:
-        """Return weights (3, p) of what a sensor should read along its nominal axes: the mean of the others that
-        measure the same and of the track, if the sensor is compared with it; None without either.
+        """Return weights (3, p) of the expected reading of a sensor along its nominal axes: the mean of the other
+        sensors of its quantity and of the track, if the sensor is compared with it; None without either.
         """
         others = self.others(sensor, family=False)
         box, references = self.mean_box(others) * len(others), len(others)
@@ -141,18 +145,19 @@ class Cross:
 
 
 def window_ns(rates_hz: Sequence[float]) -> int:
-    """Return the shortest of the usual windows in which the slowest sensor has two rows."""
+    """Return, in ns, the shortest of the usual windows in which the slowest sensor has two rows; at most 5 s."""
     needed_s = _WINDOW_ROWS / min(rates_hz)
     return round(next((window_s for window_s in _WINDOWS_S if window_s >= needed_s), _WINDOWS_S[-1]) * 1e9)
 
 
 class CrossTally:
-    """Accumulates the blocks of several sensors of one phase, of each in order; rows are kept until all sensors have
-    reached their window.
+    """Accumulates the blocks of several sensors of one phase. The blocks of each sensor come in order; sums are kept
+    until all sensors have reached their window.
 
-    Handles so many `replicates` at once, whose rows have the same times. `changes`: with the moments for statistics of
-    a moving box; without them it takes half of the time. `track`: the motion beside the sensors of which the array has
-    fewer than `ENOUGH` of a quantity, and beside the first of more.
+    Processes several `replicates` at once, whose rows have the same times. `changes`: also compute the moments for
+    statistics of a moving box; without them it takes half of the time. `track`: the motion that an instrument measured,
+    sampled at the times of the sensors of which the array has fewer than `ENOUGH`, and of the first sensor of each
+    other quantity.
     """
 
     def __init__(
@@ -176,7 +181,7 @@ class CrossTally:
             if quantities.count(sensor.quantity) < ENOUGH or sensor.quantity not in quantities[:place]
         ]
         self._track, self._with_track = track, tuple(sensor.name for sensor in chosen)
-        # places of a track's quantities, by the sensor at whose times they are taken
+        # places of the track's quantities, by the sensor whose row times they are sampled at
         self._track_places = {sensor.name: [(len(sensors) + at, sensor.quantity)] for at, sensor in enumerate(chosen)}
         units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in chosen]
         self._gyroscopes = [
@@ -200,7 +205,7 @@ class CrossTally:
 
     @property
     def sensors(self) -> Collection[str]:
-        """The names of those that take part."""
+        """Names of the sensors that are accumulated."""
         return self._places.keys()
 
     def update(self, sensor: str, *blocks: Block) -> None:
@@ -236,12 +241,12 @@ class CrossTally:
         self._finish_segments(int(self._reached.min()))
 
     def result(self) -> Cross:
-        """Return the moments of all complete segments, of the only replicate."""
+        """Return the moments of all complete segments for the only replicate."""
         (cross,) = self.results()
         return cross
 
     def results(self) -> list[Cross]:
-        """Return the moments of all complete segments, of each replicate."""
+        """Return the moments of all complete segments for each replicate."""
         self._finish_segments(self._last)
         with np.errstate(invalid="ignore"):
             fast = self._fast / np.float64(self._windows)
@@ -256,8 +261,8 @@ class CrossTally:
         ]
 
     def _accumulate(self, place: int, windows: Any, sums: Floats, rows: Integers) -> None:
-        """Add sums (r, 3, w) or (3, w) over so many rows (w,) to windows, given by a slice or their places (w,)."""
-        place_sums = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
+        """Add sums (r, 3, w) or (3, w) over `rows` (w,) rows to windows, given by a slice or by their places (w,)."""
+        place_sums = self._sums[:, place]  # an integer and an array in one index would change the order of the axes
         place_sums[:, :, windows] += sums
         self._rows[place, windows] += rows
 
@@ -269,7 +274,7 @@ class CrossTally:
             self._rows = np.concatenate([self._rows, np.zeros((len(self._rows), more))], axis=1)
 
     def _finish_segments(self, reached: int) -> None:
-        """Add up the segments that end before window `reached`, which isn't complete itself."""
+        """Add the moments of the segments that end before window `reached`, which is not complete itself."""
         count = (reached - self._base) // self._length
         if count < 1:
             return
@@ -284,7 +289,7 @@ class CrossTally:
         self._base += finished
 
     def _add(self, sums: Floats, rows: Floats) -> None:
-        """Add segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read do not count."""
+        """Add segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which a sensor has no row are left out."""
         full = np.asarray((rows > 0).all(axis=0))
         is_known = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
         columns = self._fast.shape[2]
@@ -317,8 +322,8 @@ class CrossTally:
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """Return products xx, xy, xz, yy, yz, zz of the mean rate in the box, its change per second, and its cubes (r,
-        12, s, w).
+        """Return (r, 12, s, w): the products xx, xy, xz, yy, yz, zz of the mean rate along the box's axes, its
+        derivative, and its cubes; SI units.
         """
         if not self._gyroscopes:
             return np.zeros((len(readings), KINEMATIC + CUBES, *readings.shape[3:]))
@@ -331,7 +336,7 @@ class CrossTally:
 
 
 def _fill(readings: Floats, full: Booleans) -> Floats:
-    """Return readings (r, m, 3, s, w) with the segment's mean in place of windows that aren't full (s, w)."""
+    """Return readings (r, m, 3, s, w) with windows that are not `full` (s, w) replaced by the segment's mean."""
     if full.all():
         return readings
     mean = np.mean(readings, axis=4, where=full, keepdims=True)
@@ -339,8 +344,8 @@ def _fill(readings: Floats, full: Booleans) -> Floats:
 
 
 def _centre(line: Floats, counts: Booleans) -> tuple[Floats, Floats]:
-    """Columns (r, p, s, w) less their means (r, p, s) over the windows that count (s, w), 0 in the others; and these
-    means.
+    """Return the columns (r, p, s, w) less their means over the windows in which `counts` (s, w) is true, 0 in the
+    other windows; and the means (r, p, s).
     """
     if counts.all():
         mean = line.mean(axis=3)

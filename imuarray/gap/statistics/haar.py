@@ -1,10 +1,10 @@
-"""Allan variances at octaves, and the kurtosis of differences of means, at a fixed cost.
+"""Allan variances at octaves, and the kurtosis of differences of means, at a fixed cost per row.
 
-There are four starts in an averaging time, and three axes are computed at once. Sums over two, four, ... rows are sums
-of pairs of those before, so whole numbers stay exact.
+Windows begin at every quarter of the averaging time, and all axes are computed at once. Sums over two, four, ... rows
+are sums of pairs of the previous sums, so whole numbers stay exact.
 
-`imuarray.characterise.allan_stream` also gives confidence limits. Here only the values are needed, thousands of times,
-and its identification of noise types would cost more than short series themselves.
+`imuarray.characterise.allan_stream` also computes confidence limits. Here only the values are needed, thousands of
+times, and for short series its identification of noise types would take longer than the variances.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 
 _FINE = 4
-"""Octaves at which sums of 1 and 2 rows are used, block by block; at the others sums of 4."""
+"""Number of octaves that are computed from sums of 1 and 2 rows, block by block; the others use sums of 4 rows."""
 
 
 class Haar(NamedTuple):
     """Allan variances (o, k) of k columns at averaging factors 1, 2, 4, ...
 
-    `terms` (o,): the number of squares that were averaged (the variance is nan without any). `kurtosis` (o, k) of the
-    differences of neighbouring means about 0, nan also at the octaves before `FINEST`.
+    `terms` (o,): the number of squares that were averaged (the variance is nan if it is 0). `kurtosis` (o, k): that of
+    the differences of neighbouring means about 0, nan also at the octaves before `FINEST`.
     """
 
     variance: Floats
@@ -33,7 +33,9 @@ class Haar(NamedTuple):
 
 
 FINEST = 3
-"""First octave at which fourth powers are added up; those of more differences would cost as much as all else."""
+"""First octave at which fourth powers are summed: at finer octaves, which have more differences, they would take as
+long as everything else together.
+"""
 
 
 class HaarTally:
@@ -47,7 +49,7 @@ class HaarTally:
         self._squares, self._fourths, self._terms = *np.zeros((2, octaves, columns)), [0] * octaves
 
     def update(self, values: Floats) -> None:
-        """Add values (k, n), best about an origin near them."""
+        """Add values (k, n); subtract an origin near their mean first to reduce rounding errors."""
         sums = values
         for number, level in enumerate((self._rows, self._twos)):
             line = level.line(sums)
@@ -58,7 +60,7 @@ class HaarTally:
             self._add(_FINE + number, differences)
 
     def result(self) -> Haar:
-        """Return the variances of all values so far."""
+        """Return the variances of all values added so far."""
         terms = np.array(self._terms, np.int64)
         factors = 2.0 ** np.arange(len(terms))
         scale = np.where(terms > 0, 2 * factors * factors * terms, np.nan)
@@ -78,8 +80,8 @@ class HaarTally:
 
 
 class _Level:
-    """Sums over a number of rows: the last ones, which the next differences reach back to, and where the next pair
-    begins.
+    """Sums over a number of rows: keeps the last sums, which the next differences need, and the begin of the next
+    pair.
     """
 
     def __init__(self, columns: int, distances: tuple[int, ...]) -> None:
@@ -94,7 +96,7 @@ class _Level:
         return line
 
     def differences(self, line: Floats) -> Iterator[tuple[int, Floats]]:
-        """Differences (k, m) of the sums of neighbours at each distance, those that end in the new part of a line."""
+        """Yield each distance with the differences (k, m) of neighbouring sums that end in the new part of a line."""
         window, length = line, 1
         for distance in (1, 2, 4):
             if distance > length:
@@ -105,7 +107,7 @@ class _Level:
                     yield distance, window[:, first + distance :] - window[:, first:-distance]
 
     def coarser(self, line: Floats) -> Floats:
-        """Return the sums of pairs, continued over blocks."""
+        """Return the sums of pairs; pairs continue across blocks."""
         begin = self._new - self._paired
         pairs = (line.shape[1] - begin) // 2
         self._paired = line.shape[1] - begin - 2 * pairs
@@ -114,14 +116,18 @@ class _Level:
 
 
 class _Coarse:
-    """Sums over 4 rows at octaves with windows of 4, 8, 16, ... A running sum needs fewer calls than sums of pairs."""
+    """Octaves with windows of 4, 8, 16, ... sums over 4 rows, computed from a running sum, which needs fewer calls than
+    sums of pairs.
+    """
 
     def __init__(self, columns: int, octaves: int) -> None:
         self._running: Floats = np.zeros((columns, 1))
         self._next = [0] * octaves
 
     def differences(self, sums: Floats) -> Iterator[tuple[int, Floats]]:
-        """Differences (k, m) of each octave whose windows end in the next sums (k, n); they begin at every quarter."""
+        """Yield the octaves with the differences (k, m) of windows that end in the next sums (k, n); windows begin at
+        every quarter of their length.
+        """
         cumulative = np.cumsum(sums, axis=1)
         cumulative += self._running[:, -1:]
         line = np.concatenate([self._running, cumulative], axis=1)

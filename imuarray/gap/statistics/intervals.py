@@ -1,4 +1,4 @@
-"""Records of a log about its rows apart from the values: times, flags, and words that no sensor sends."""
+"""What a log records about its rows besides the values: times, flags, and words that no sensor sends."""
 
 from __future__ import annotations
 
@@ -22,20 +22,24 @@ WORDS = (-1, 0)
 _COUNTED = {**FLAGS, "doubtful": DOUBTFUL}
 
 STALL = 20.0
-"""Gap, in usual intervals, from which on the recorder has stalled: readings are lost one or a few at a time."""
+"""Length of a gap, in usual intervals, from which on it is a stall of the recorder: shorter gaps are lost readings, of
+which one or a few are missing at a time.
+"""
 
 APART = 16
-"""Rows from which on two rows that are no new reading belong to two slips of the polls against the data clock."""
+"""Least distance, in rows, between two stale rows that count as two slips of the polls against the data clock."""
 
 _QUARTILE = 0.75
 _TYPICAL = 1024
 
 _SHORTEST, _LONGEST, _BINS = 0.75, 1.25, 2048
-"""Range of the histogram of intervals, in periods of the sensor's data, and its bins; two more hold what is beyond."""
+"""Range of the histogram of intervals, in periods of the sensor's data, and its number of bins; two more bins contain
+the intervals below and above the range.
+"""
 
 
 class Lengths(NamedTuple):
-    """Histogram of intervals: how many (k,) are in each bin that has any, and their sum in s."""
+    """Histogram of intervals: number (k,) of intervals in each bin that is not empty, and their sum (k,) in s."""
 
     counts: Floats
     sums_s: Floats
@@ -46,12 +50,12 @@ _NO_LENGTHS = Lengths(np.zeros(0), np.zeros(0))
 
 @dataclass(frozen=True)
 class Intervals:
-    """Intervals between `count + gaps` neighbouring rows: `mean_s` and `std_s` of the `count` that are no gap, and the
-    `longest_s` of all; nan without any.
+    """The `count + gaps` intervals between neighbouring rows: `mean_s` and `std_s` of the `count` intervals that are
+    not gaps, and the `longest_s` of all; nan without intervals.
 
     A gap is longer than 1.5 times the upper quartile of the first 1024 intervals; `skips` of the gaps are shorter than
-    `STALL` times that. `shorter` of all intervals are shorter than the period of the sensor's data, with a mean of
-    `shorter_s`; `lengths` of all intervals, empty if that period is not known.
+    `STALL` times this quartile. `shorter` of all intervals are shorter than the period of the sensor's data, with a
+    mean of `shorter_s`; `lengths` is the histogram of all intervals, empty if that period is not known.
     """
 
     count: int
@@ -66,8 +70,8 @@ class Intervals:
 
 
 class IntervalMoments:
-    """Accumulates the first and second moments of intervals, for data that come every `period_s` (0: unknown).
-    `imuarray.characterise.IntervalTally` has their medians too, for 5 times the time and 4 MB.
+    """Accumulates the first and second moments of intervals, for data with the period `period_s` (0: unknown).
+    `imuarray.characterise.IntervalTally` also computes medians, in 5 times the time and with 4 MB.
     """
 
     def __init__(self, period_s: float = 0.0) -> None:
@@ -90,7 +94,7 @@ class IntervalMoments:
             self._add()
 
     def result(self) -> Intervals:
-        """Return the moments of all intervals so far."""
+        """Return the moments of all intervals added so far."""
         self._add()
         if self._count == 0:
             return Intervals(0, np.nan, np.nan, self._gaps, np.nan, skips=self._skips)
@@ -103,7 +107,7 @@ class IntervalMoments:
         return Intervals(self._count, *seconds, self._gaps, longest_s, self._shorter, shorter_s, self._skips, lengths)
 
     def _add(self) -> None:
-        """Separates the pending intervals from gaps and adds them up."""
+        """Separate the pending intervals from gaps and add them to the sums."""
         intervals = np.concatenate([np.zeros(0), *self._waiting])
         self._waiting = []
         if len(intervals) == 0:
@@ -126,11 +130,11 @@ class IntervalMoments:
         self._count += len(from_typical)
         self._gaps += len(intervals) - len(from_typical)
         self._sum_ns += float(from_typical.sum())
-        self._squares_ns2 += float(np.einsum("i,i->", from_typical, from_typical))  # which takes one thread
+        self._squares_ns2 += float(np.einsum("i,i->", from_typical, from_typical))  # einsum uses a single thread
 
 
 def _quartile(values: Floats) -> float:
-    """Return the upper quartile; `numpy.quantile` takes several times as long for it."""
+    """Return the upper quartile; `numpy.quantile` takes several times as long."""
     place = _QUARTILE * (len(values) - 1)
     low = int(place)
     ordered = np.sort(values)[low : low + 2]
@@ -138,7 +142,7 @@ def _quartile(values: Floats) -> float:
 
 
 class StatusTally:
-    """Counts flags, and rows that are words of `WORDS`."""
+    """Counts flags, and rows in which all axes read the same word of `WORDS`."""
 
     def __init__(self) -> None:
         self._flags = dict.fromkeys(_COUNTED, 0)
@@ -147,7 +151,7 @@ class StatusTally:
 
     @property
     def flags(self) -> Mapping[str, int]:
-        """Number of rows so far with each flag, by its name."""
+        """Number of rows so far with each flag, by the name of the flag."""
         return dict(self._flags)
 
     @property
@@ -157,8 +161,8 @@ class StatusTally:
 
     @property
     def slips(self) -> int:
-        """Number of times that rows are flagged as no new reading, rightly or not, `APART` rows or more after the last
-        ones.
+        """Number of rows so far that are flagged as stale or doubtful and follow the previous such row by `APART` rows
+        or more.
         """
         return self._slips
 

@@ -1,4 +1,4 @@
-"""Lines in the spectrum of a phase: peaks that stand above their neighbours."""
+"""Lines in the spectrum of a phase: peaks above the median of the neighbouring bins."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
 
 HALF_WIDTH = 2
-"""Bins on each side that a Hann window spreads a line over."""
+"""Number of bins on each side over which a Hann window spreads a line."""
 
 _FIRST = 2
 _BESIDE = 33
 _HIGH = 4.0
-"""A line is so many standard deviations above its neighbours' median, by the cube root of its density, which is about
-normal (Wilson and Hilferty, PNAS 17, 1931).
+"""Least height of a line over the median of its neighbours, in standard deviations of the cube root of the density,
+which is nearly normal (Wilson and Hilferty, PNAS 17, 1931).
 """
 
 
 class Line(NamedTuple):
-    """At `bin` of a spectrum; `power` (3,) in squared counts, `height` (3,) over the floor in standard deviations."""
+    """Line at `bin` of a spectrum: `power` (3,) in squared counts, `height` (3,) above the floor in standard
+    deviations.
+    """
 
     bin: float
     power: Floats
@@ -31,7 +33,7 @@ class Line(NamedTuple):
 
 
 def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -> Iterator[Line]:
-    """Yield at most `count` lines, highest first, except near `known` bins; none where all codes are equal."""
+    """Yield at most `count` lines, the highest first, except near `known` bins; none if all codes are equal."""
     density = spectrum.density
     if not density.max() > 0:
         return
@@ -56,7 +58,9 @@ def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -
 
 
 def pool_spectra(spectra: Sequence[Spectrum]) -> Spectrum | None:
-    """Return the finest one, of all phases in which it is as fine; with freedom added up."""
+    """Return the mean spectrum of the phases with the finest resolution, weighted by their segments, with the sum of
+    their degrees of freedom; None if no phase has a segment.
+    """
     known = [spectrum for spectrum in spectra if spectrum.segments]
     if not known:
         return None

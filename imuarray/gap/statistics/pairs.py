@@ -12,7 +12,7 @@ from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
 
 ABSENT = -1
-"""Place of a statistic that one part does not have."""
+"""Place of a statistic that is missing in one part."""
 
 LEAST = 0.5**0.5
 _WILD = 5.0
@@ -21,8 +21,8 @@ _FOLDS = 20
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of m statistics by their `keys`, with the places `train` and `held_out` (m,) of each among the n statistics
-    of both parts.
+    """m pairs of statistics: their `keys`, and the places `train` and `held_out` (m,) of both members among the n
+    statistics of both parts.
     """
 
     keys: tuple[Key, ...]
@@ -30,8 +30,8 @@ class Pairs:
     held_out: Indices
 
     def sums(self, scores: Floats) -> Floats:
-        """Return scores (..., m) of pairs from scores (..., n): the sum of both parts over the root of two, or the
-        score of the only part that has one.
+        """Return scores (..., m) of pairs from scores (..., n): the sum of both parts divided by the root of two, or
+        the score of a single part if the other is missing.
         """
         parts = [_at(scores, places) for places in (self.train, self.held_out)]
         count = np.sum([np.isfinite(part) for part in parts], axis=0)
@@ -39,17 +39,17 @@ class Pairs:
         return np.where(count > 0, total / np.sqrt(np.maximum(count, 1)), np.nan)
 
     def means(self, values: Floats) -> Floats:
-        """Means (m,) of pairs from values (n,), over the parts that have one."""
+        """Return the means (m,) of pairs of values (n,), over the parts with a value."""
         parts = np.array([_at(values, places) for places in (self.train, self.held_out)])
         count = np.isfinite(parts).sum(axis=0)
         return np.where(count > 0, np.nansum(parts, axis=0) / np.maximum(count, 1), np.nan)
 
 
 def pairs_of(keys: Sequence[Key], held_out: Sequence[bool], logs: Sequence[int] | None = None) -> Pairs:
-    """Pairs the keys of both parts; `held_out` says of each key which part it is in.
+    """Pair the keys of both parts; `held_out` is true for the keys of the held-out part.
 
-    `logs` numbers the log of each key such that logs that belong together have the same number; without it, each part's
-    own numbers do.
+    `logs` gives each key a log number that is the same for corresponding logs of both parts; by default the keys' own
+    log numbers are used.
     """
     places_of: dict[Key, list[int]] = {}
     for at, (key, out) in enumerate(zip(keys, held_out, strict=True)):
@@ -60,16 +60,16 @@ def pairs_of(keys: Sequence[Key], held_out: Sequence[bool], logs: Sequence[int] 
 
 
 def scorer_of(pairs: Pairs, likelihood: SyntheticLikelihood, replicates: Floats) -> Callable[[Floats], Floats]:
-    """Function that scores values (..., n) of both parts in pairs (..., m), in standard deviations of the `replicates`
-    (b, n).
+    """Return a function that converts values (..., n) of both parts to scores of pairs (..., m), in standard deviations
+    of the `replicates` (b, n).
     """
     norm = spread_of(pairs.sums(likelihood.scores(replicates)))
     return lambda values: np.asarray(pairs.sums(likelihood.scores(values)) / norm)
 
 
 def scores_by_others(pairs: Pairs, values: Floats, floor: Floats) -> Floats:
-    """Return scores (b, m) of campaigns with values (b, n), each scored by the others (except a twentieth, its own
-    fold): if all are of one kind, each is equally likely to be the most extreme.
+    """Return scores (b, m) of campaigns with values (b, n), each scored against the campaigns outside its fold, which
+    is a twentieth of all: if all have the same distribution, each is equally likely to be the most extreme.
     """
     scores = np.empty((len(values), len(pairs.keys)))
     folds = min(_FOLDS, len(values))
@@ -81,10 +81,10 @@ def scores_by_others(pairs: Pairs, values: Floats, floor: Floats) -> Floats:
 
 
 def spread_of(sums: Floats) -> Floats:
-    """Standard deviation (m,) of sums (b, m) over replicates, at least `LEAST`.
+    """Return the standard deviation (m,) of sums (b, m) over replicates, at least `LEAST`.
 
-    Parts that depend on each other make it larger than 1. A part that the fit makes zero makes it the root of a half; a
-    smaller one has hardly ever a value, from which nothing is concluded.
+    It is larger than 1 if the parts are correlated, and the root of a half if the fit makes the score of one part zero.
+    Smaller values occur only where a statistic hardly ever differs from its usual value, and are not used.
     """
     known = np.isfinite(sums).any(axis=0)
     spread = np.zeros(sums.shape[1])
