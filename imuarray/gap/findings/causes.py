@@ -1,10 +1,11 @@
-"""Causes with their parameters: the effects that the search accepted, their probabilities, and the effects with which
-they can be confused; those in the environment: signals that all sensors measure along the box axes, and that are
-therefore no sensor faults; and pulls: the nuisance quantities of parts against their tolerances, and the causes that
-may have made them.
+"""The causes of a gap with their parameters, their origins, and the quantities of parts beyond tolerance that they
+explain.
 
-A pull is fitted without the causes. Where a sensor measures in another range than configured, the fit can only call its
-scale factor wrong: that is no second finding.
+A cause is an effect that the search accepted. It has a probability and a list of the effects with which it can be
+confused. If all sensors measure the same signal along the box axes, the cause is in the environment and is not a sensor
+fault. A pull is a nuisance quantity of a part compared with its tolerance, and is listed with the causes that may
+explain it: it is fitted without the causes. For example, if a sensor measures in another range than configured, the fit
+makes its scale factor wrong, which is not a second finding.
 """
 
 from __future__ import annotations
@@ -38,37 +39,37 @@ from imuarray.simulate.effect import Effect, to_table
 from imuarray.simulate.effects.temperature import ThermalBias
 
 TEMPER = 0.3
-"""Power to which the odds of a trial count in its probability."""
+"""Power to which the odds of a trial are raised for its probability."""
 
 ALTERNATIVE = 0.1
-"""Least probability of an alternative effect that is reported as a cause."""
+"""Least probability at which an alternative effect is reported as a cause."""
 
 LEAST = 0.03
-"""Least share of the remaining gap that a cause closes; an effect that closes less may be present, but is no cause of
+"""Least share of the remaining gap that a cause closes. An effect that closes less may be present, but does not cause
 the gap.
 """
 
 CONFUSABLE = 0.05
-"""Least odds of an effect against the cause that was taken, 1 to 20, for it to be confusable."""
+"""Least odds of an effect against the accepted cause, 1 to 20, at which both are confusable."""
 
 NEAREST_NATS = 3.0
-"""Least gain on both parts together, over the placebo's and less the cost of its numbers, of an effect that is named
-although none was accepted.
+"""Least gain, in nats, of an effect that is named although none was accepted: its gain on both parts together, less
+that of the placebo and the cost of its parameters.
 """
 
 NEAREST_RIGHT = 0.4
-"""How often an effect without a rival that is named in this way is right."""
+"""Rate at which an effect without a rival that is named in this way is right."""
 
 _SAME, _SAME_FREQUENCY = 1.25, 1.01
-"""Largest ratio of equal parameters of two sensors; frequencies of lines are distinguished more finely."""
+"""Largest ratio of the parameters of two sensors, and of their frequencies, at which they are regarded as equal."""
 
 _METADATA = frozenset({"axis_error", "channel_swap", "clock_error"})
 """Causes in the metadata of a log or array, not in a sensor."""
 
 
 def probabilities(round_: Round, present: Collection[str] = ()) -> list[float]:
-    """Return the probability of each confirmed trial of a round; the rest is the probability of none of them. Effects
-    that are already `present` are no rivals and have probability 0.
+    """Return the probability of each confirmed trial of a round; the rest is the probability that none of them is
+    right. Effects that are already `present` are not rivals and have probability 0.
     """
     odds = TEMPER * np.array([*round_.log_odds, 0.0])
     rivals = np.array([*(trial.trial.name not in present for trial in round_.confirmed), True])
@@ -87,11 +88,12 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
 
 
 def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
-    """Return the effect that comes nearest to explain a gap of which none was accepted: the one with the best odds of
-    those that gain `NEAREST_NATS` on both parts together; nothing if there is none, or if too many rivals are as good.
+    """Return the effect that comes nearest to explaining a gap for which no effect was accepted: the one with the best
+    odds of those that gain more than `NEAREST_NATS` on both parts together. The result is empty without one, or if too
+    many rivals are as good.
 
-    A deviation of five standard deviations in a single statistic is a gap, but is worth less than it costs to choose
-    among thousands of moments, lines and axes. Here this cost decides between effects alone.
+    A deviation of five standard deviations in a single statistic is a gap, but it gains less than the cost of choosing
+    among thousands of moments, lines and axes. Here this cost is only used to compare effects.
     """
     offers = [
         _Offer(unit, evaluation, _log_odds(unit_rounds[0], evaluation))
@@ -126,12 +128,14 @@ class _Offer(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """The same in nats without the cost of the choice of a moment."""
+        """The log odds in nats without the cost of choosing a moment."""
         return self.log_odds + (2 * BRIEF if self.evaluation.trial.needs_both else 0.0)
 
 
 def _log_odds(round_: Round, evaluation: Evaluation) -> float:
-    """Return the gain of a trial on both parts, over the placebo's, less the cost of its numbers and its rarity."""
+    """Return the gain of a trial on both parts, less that of the placebo, the cost of its parameters and its rarity, in
+    nats.
+    """
     cost = COST * evaluation.factors + evaluation.trial.rarity
     return evaluation.gain_of_both - max(round_.placebo_gain, 0.0) - cost
 
@@ -145,7 +149,7 @@ def _rank(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """
     limited: list[Cause] = []
     for cause in sorted(causes, key=lambda cause: cause.preceding):
-        earlier: dict[int, float] = {}  # the most probable of what each round offers
+        earlier: dict[int, float] = {}  # the highest probability among the causes of each round
         for other in limited:
             if other.preceding < cause.preceding and set(other.sensors) & set(cause.sensors):
                 earlier[other.preceding] = max(earlier.get(other.preceding, 0.0), other.probability)
@@ -281,8 +285,8 @@ def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
 
 
 def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool) -> DeviatingStatistics:
-    """Return the statistics of a unit that deviated at first, with their scores then; of both parts for a cause that
-    one part may not show.
+    """Return the statistics of a unit that deviated in the state `first`, with their scores in the state `then`; those
+    of both parts for a cause that one part may not show.
     """
     pairs = bench.pairs(bench.own(first.unit))
     if in_either:
@@ -342,7 +346,7 @@ def _agree(first_table: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
                 return False
             continue
         if len(first) != len(second) and 1 not in (len(first), len(second)):
-            return False  # lists of events, of which one sensor had more
+            return False  # lists of events of different lengths
         first, second = np.broadcast_arrays(first.astype(float), second.astype(float))
         finite = np.isfinite(first)  # an axis without a limit has an infinite one
         if (finite != np.isfinite(second)).any():
@@ -393,7 +397,7 @@ WANDER: Mapping[Pace, frozenset[str]] = MappingProxyType(
         "fast": frozenset({"bias_instability", "common_mode", "white_noise"}),
     }
 )
-"""Effects that a stimulus of that pace may be mistaken for."""
+"""Effects for which a stimulus of this pace may be mistaken."""
 
 _LEAST_SENSORS = 3
 
@@ -403,9 +407,8 @@ def with_origins(
 ) -> tuple[Cause, ...]:
     """Return the causes, with the origin "environment" for those in the environment of the box.
 
-    A `tone` belongs to the environment if the same line (`lines_of`) is in each of its sensors. A wander does if its
-    sensors share a stimulus of `environment_of` that explains at least half of it, along the axes in which most of it
-    lies.
+    A `tone` is in the environment if the same line (`lines_of`) is in each of its sensors. A wander is if its sensors
+    share a stimulus of `environment_of` that explains at least half of it, along the axes in which most of it lies.
     """
     lines = lines_of(causes, headers)
 
@@ -424,8 +427,8 @@ def with_origins(
 
 @dataclass(frozen=True)
 class CommonLine:
-    """A line that several sensors measure, along the box axis `axis` ("" if along different ones); `causes` are the
-    tones that consist of it.
+    """A line that several sensors measure, along the box axis `axis` ("" for different axes); `causes` are the tones
+    that consist of it.
     """
 
     frequency_hz: float
@@ -435,12 +438,12 @@ class CommonLine:
 
 
 def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tuple[CommonLine, ...]:
-    """Return the lines that are no sensor faults, from the added causes `tone`.
+    """Return the lines, among the added causes `tone`, that are not sensor faults.
 
-    Frequencies must agree within 1 %, and amplitudes in the box within a factor of 1.5 between two chips that measure
-    the same quantity; between accelerometers and gyroscopes only the frequency counts. Half of the array's sensors of
-    each quantity must show the line. If there is only one type of chip, all its units must show it, at least three, and
-    not equally along their own axes, since its design may cause the line.
+    Frequencies must agree within 1 %. Amplitudes in the box must agree within a factor of 1.5 between two chips that
+    measure the same quantity; between accelerometers and gyroscopes only the frequency counts. Half of the array's
+    sensors of each quantity must show the line. If the array has only one type of chip, all its units must show it, at
+    least three, and not equally along their own axes, since the line may be caused by the design of the chip.
     """
     tones = [_Tone.of(cause, headers[name]) for cause in causes if _is_tone(cause) for name in cause.sensors]
     lines = []
@@ -457,7 +460,7 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
 
 
 def notes_of(lines: Sequence[CommonLine], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
-    """Return sentences on what the box felt."""
+    """Return sentences on the lines and signals that several sensors share."""
     sentences = [
         f"{series(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
         f"{f' along the box axis {line.axis}' if line.axis else ''}: a vibration of the box, not a fault of the "
@@ -502,7 +505,7 @@ def _is_one_line(first: _Tone, other: _Tone) -> bool:
 
 
 def _amplitudes_agree(first: Floats, other: Floats) -> bool:
-    """Return whether large amplitudes agree on all axes; small ones may be lost in one chip's noise."""
+    """Return whether the large amplitudes agree on all axes; small ones may be hidden by the noise of a chip."""
     much = np.maximum(first, other) > max(first.max(), other.max()) / 3
     return bool((np.maximum(first, other)[much] <= AMPLITUDE_RATIO * np.minimum(first, other)[much]).all())
 
@@ -520,7 +523,7 @@ def _reaches(tones: Sequence[_Tone], headers: Mapping[str, SensorHeader]) -> boo
 
 
 def _is_whole(cause: Cause, tones: Sequence[_Tone]) -> bool:
-    """Return whether these are the cause's tones in each of its sensors."""
+    """Return whether `tones` contains the cause's tone in each of its sensors."""
     return {tone.header.name for tone in tones if tone.cause is cause} == {*cause.sensors}
 
 
@@ -529,7 +532,7 @@ def _strongest(tone: _Tone) -> str:
 
 
 def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedSignal]) -> bool:
-    """Return whether half of the sensor's squared wander is along axes of the box with a stimulus."""
+    """Return whether at least half of the sensor's squared wander is along axes of the box that have a stimulus."""
     axes = {
         signal.axis
         for signal in shared
@@ -587,12 +590,12 @@ _MOVED_BY: Mapping[str, frozenset[str]] = MappingProxyType(
         "zero of the chip's thermometer": frozenset({"range_reset", "channel_swap", "stuck"}),
     }
 )
-"""The effects that move the fitted value of a quantity if the model lacks them."""
+"""Effects that change the fitted value of a quantity if the model lacks them."""
 
 
 def pulls_of(estimates: Iterable[NuisanceEstimate], causes: Sequence[Cause]) -> tuple[Pull, ...]:
-    """Return the pulls of the estimates that have a tolerance, each with the listed causes of its sensor that may have
-    made it.
+    """Return the pulls of the estimates that have a tolerance, each with the listed causes of its sensor that may
+    explain it.
     """
     return tuple(
         Pull(*estimate[:-1], estimate.pull, estimate.source, tuple(dict.fromkeys(_reasons(estimate, causes))))

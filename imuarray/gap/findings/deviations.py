@@ -1,5 +1,5 @@
-"""Single statistics that deviate: where, by how much, and whether that matters (`imuarray.gap.statistics.margins`); the
-remainder after the causes; and notes on unexplained lines, aliases, and bias changes that all units share.
+"""Single statistics that deviate: where, by how much, and whether it matters (`imuarray.gap.statistics.margins`). Also
+the remainder after the causes, and notes on unexplained lines, aliases, and bias changes that all units share.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, sec
 def sized(shift: float, scale: float, margin: float) -> Size:
     """Judge a difference `shift` with standard error `scale` by two one-sided tests.
 
-    "material" if the 95 % interval of its size is beyond the margin, "harmless" if it is within (however significant),
-    otherwise "can't tell", also for nan.
+    The result is "material" if the 95 % interval of its size is beyond the margin, "harmless" if the interval is within
+    the margin (however significant the difference is), and "can't tell" otherwise, also for nan.
     """
     return sizes(np.array([shift]), np.array([scale]), np.array([margin]))[0]
 
@@ -62,14 +62,14 @@ def sizes(shift: Floats, scale: Floats, margin: Floats) -> tuple[Size, ...]:
 
 
 def needed(seconds: float, scale: float, margin: float) -> float:
-    """Return the seconds of a log that would resolve a difference of `margin`, if one of `seconds` has the standard
-    error `scale`, which falls with the root of the length; inf for a margin of 0.
+    """Return the length, in s, of a log that resolves a difference of `margin`; inf for a margin of 0. A log of
+    `seconds` has the standard error `scale`, which decreases with the square root of the length.
     """
     return seconds * (TWO_SIDED_95 * scale / margin) ** 2 if margin > 0 else math.inf
 
 
 def length_words(seconds: float) -> str:
-    """Return the length to record in words with two digits, rounded up: "25 minutes"."""
+    """Return the length to record in words, rounded up to two digits: "25 minutes"."""
     if not math.isfinite(seconds):
         return "no log is long enough"
     unit, size = next((name, size) for name, size, limit in _UNITS if seconds <= limit)
@@ -82,22 +82,22 @@ def length_words(seconds: float) -> str:
 def where_of(
     report: StatisticReport, assessment: Assessment, places: Iterable[int], p: Mapping[int, float]
 ) -> tuple[Where, ...]:
-    """Return report entries of the statistics at these places of the pairs, by one model; `p` of those that have their
-    own.
+    """Return the report entries of the statistics at these places of the pairs, for one model. `p` has the p-values of
+    single statistics; the others have that of the assessment.
     """
     return tuple(report.where(at, assessment, p.get(at, assessment.p)) for at in places)
 
 
 def tail_p(normal: Floats) -> float:
-    """Return the p-value of the largest of normal scores (m,), by the fitted tails and multiplied by their number
-    (Bonferroni); nan without any.
+    """Return the p-value of the largest absolute score (m,), multiplied by the number of scores (Bonferroni); nan
+    without any. The scores are standard normal according to the fitted tails.
     """
     known = np.abs(normal[np.isfinite(normal)])
     return float(min(1.0, 2 * len(known) * ndtr(-known.max()))) if len(known) else math.nan
 
 
 def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequence[str]) -> Map:
-    """Return the largest normal scores by sensor and domain."""
+    """Return the largest absolute normal scores by sensor and domain."""
     domains = tuple(dict.fromkeys(probe.domain for probe in PROBES.values()))
     tables = []
     for assessment in (before, after):
@@ -111,7 +111,7 @@ def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequenc
 
 
 class StatisticReport:
-    """Describes single statistics of a recorded campaign; `names` are the logs'."""
+    """Describes single statistics of a recorded campaign; `names` are those of the logs."""
 
     def __init__(self, bench: Bench, campaign: Campaign, pairs: Pairs, names: Sequence[str]) -> None:
         self._bench, self._pairs = bench, pairs
@@ -158,7 +158,7 @@ class StatisticReport:
         return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.rate_and_length(at))
 
     def rate_and_length(self, at: int) -> tuple[float, float]:
-        """Return rows per second of the sensor, and the seconds of its log that were used."""
+        """Return the rows per second of the sensor, and the length in s of its log that was used."""
         key = self._key(at)
         phases = self._phases[self._side(at)][max(key.log, 0)]
         summaries = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
@@ -167,13 +167,13 @@ class StatisticReport:
         return (float(np.median(rates)) if rates else 1.0), seconds
 
     def scale(self, at: int, assessment: Assessment) -> float:
-        """Standard error of a statistic's difference, of both parts together."""
+        """Return the standard error of a statistic's difference, averaged over both parts."""
         scales = assessment.likelihood.scale[self._parts(at)]
         known = scales[np.isfinite(scales)]
         return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
 
     def _shift(self, at: int, assessment: Assessment) -> float:
-        """Difference of the recording from the model's location, averaged over the parts."""
+        """Return the difference of the recording from the model's location, averaged over the parts."""
         parts = assessment.deviation[self._parts(at)]
         return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
 
@@ -187,12 +187,12 @@ class StatisticReport:
         return several if key.log < 0 else self._logs[self._side(at)][key.log]
 
     def _key(self, at: int) -> Key:
-        """Return the key of the statistic in its own part."""
+        """Return the key of the statistic in the part that has it, the training part first."""
         places = (self._pairs.train, self._pairs.held_out)[self._side(at)]
         return self._bench.keys[int(places[at])]
 
     def _side(self, at: int) -> int:
-        """0 for the training part, 1 for a statistic of the held-out part alone."""
+        """Return 0 for the training part, 1 for a statistic that only the held-out part has."""
         return 0 if self._pairs.train[at] >= 0 else 1
 
 
@@ -200,36 +200,36 @@ _UNITS = (("second", 1.0, 90.0), ("minute", 60.0, 5400.0), ("hour", 3600.0, 1728
 
 
 MOST = 6
-"""Most axes that are described."""
+"""Largest number of axes or sensors that are described."""
 
 _SCORE = 6.0
-"""Least score of a peak against its neighbours that is a line."""
+"""Least score of a peak against its neighbours at which it is a line."""
 
 _LEAST_UNITS, _SPREAD = 3, 0.5
-"""Least number of units of a chip with a shared change, and the largest standard deviation of it over its mean."""
+"""Least number of units of a chip with a shared change, and largest ratio of its standard deviation to its mean."""
 
 LINES = 4
-"""Most lines of a sensor that are listed."""
+"""Largest number of lines of a sensor that are listed."""
 
 _SEARCHED, _APART = 12, 8.0
-"""Peaks that are searched, and least bins between two lines and from the lowest line to 0: a drifting line has several
-peaks, and a wandering bias has some near 0.
+"""Number of peaks that are searched, and least distance in bins between two lines and of the lowest line from 0. A
+drifting line has several peaks, and a wandering bias has some near 0.
 """
 
 _FIRST = 4
 _STEADY = 1.5
-"""Change of a frequency, in bins, below which it is steady."""
+"""Change of a frequency, in bins, below which the line is steady."""
 
 ONE_SIDED = 2.0
-"""Ratio of a mean residual to the largest of any replicate from which on it is significant. With a ratio of one it
-would report what matters to no user, such as a telegraph noise with slightly longer states.
+"""Ratio of a mean residual to the largest one of any replicate above which it is significant. A ratio of one would
+report differences that do not matter to a user, such as a telegraph noise with slightly longer states.
 """
 
 
 UNLIKELY = 1.6
-"""Size of a remainder from which on no combination of known effects makes a recording likely. A smaller one is a
-slightly different form: for a chip that stalled for a moment, with the right cause in, the worst statistic was 1.03
-times that size.
+"""Size of a remainder above which no combination of known effects makes a recording likely. A smaller remainder is a
+slightly different form of an effect. Example: the worst statistic of a chip that stalled for a moment, with the right
+cause in the model, had a size of 1.03.
 """
 
 
@@ -237,9 +237,9 @@ times that size.
 class Remainder:
     """The remainder with all causes in the model.
 
-    `places` are those of the statistics beyond chance, the worst first; `one_sided` are probes whose residual has one
-    sign in all phases; `where` holds both as report entries. `sizes` gives, by sensor, the remainder that matters and
-    that an inexact form of the causes does not explain, in units of the smallest that counts (above 1).
+    `places` are those of the statistics beyond chance, the worst first; `one_sided` are probes with a residual of the
+    same sign in all phases; `where` has both as report entries. `sizes` has by sensor the size of the remainder that
+    matters and that an inexact form of the causes does not explain, in units of the smallest one that counts (above 1).
     """
 
     places: tuple[int, ...]
@@ -249,12 +249,12 @@ class Remainder:
 
     @property
     def unlikely(self) -> frozenset[str]:
-        """The sensors whose recordings no combination of known effects makes likely."""
+        """The sensors with recordings that no combination of known effects makes likely."""
         return frozenset(name for name, size in self.sizes.items() if size > UNLIKELY)
 
     @property
     def one_sidedness(self) -> float:
-        """The largest mean residual, in units of the largest of any replicate; 0 without."""
+        """The largest mean residual of a one-sided probe, in units of the largest of any replicate; 0 without one."""
         return max((abs(group.score) / group.furthest for group in self.one_sided), default=0.0)
 
 
@@ -265,7 +265,9 @@ NO_REMAINDER = Remainder((), (), (), {})
 def remainder_of(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
-    """Return the remainder of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
+    """Return the remainder of a recording according to `after`, an assessment by the replicates of the `repaired` model
+    (b, n).
+    """
     normal, scores = (np.nan_to_num(np.abs(values)) for values in (after.normal, after.scores))
     places = tuple(int(at) for at in np.argsort(-scores) if normal[at] > after.limit)
     single = tuple(report.where(at, after, after.p) for at in places)
@@ -282,8 +284,8 @@ def remainder_of(
 def _material(
     comparison: Comparison, after: Assessment, repaired: Floats, places: Sequence[int], single: Sequence[Where]
 ) -> Iterator[tuple[str, float]]:
-    """Return the sensors with a remainder that matters and that an inexact form of the causes does not explain, and its
-    size in units of what clearly no replicate reaches (one in thirty is extreme for rare events).
+    """Yield the sensors with a remainder that matters and that an inexact form of the causes does not explain. Its size
+    is in units of a score that is clearly beyond all replicates (one in thirty is extreme for rare events).
     """
     scores = beyond_form(comparison.pairs, comparison.assessment, after, comparison.real.values, repaired)
     sizes = np.nan_to_num(np.abs(scores))[list(places)] / (MORE * after.furthest)
@@ -296,8 +298,8 @@ def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Float
     """Return normal scores (m,) of the recording under the model with its causes, with an allowance for an inexact form
     of the causes.
 
-    The scale is widened by the relative error of form times the shift from `before` to `after`; `replicates` are those
-    of `after`.
+    The scale is increased by the relative error of form times the shift from `before` to `after`; `replicates` are
+    those of `after`.
     """
     shift = np.nan_to_num(np.abs(after.likelihood.location - before.likelihood.location))
     wider = replace(after.likelihood, scale=np.hypot(after.likelihood.scale, FORM * shift))
@@ -308,7 +310,9 @@ def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Float
 def _one_sided(
     comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause]
 ) -> tuple[GroupResidual, ...]:
-    """Return probes of sensors with a cause whose residual has one sign in all phases, well beyond any replicate."""
+    """Return the probes of sensors with a cause that have a residual of one sign in all phases, well beyond any
+    replicate.
+    """
     concerned = {name for cause in causes for name in cause.sensors}
     real = comparison.real.values
     groups = group_residuals(comparison.bench.keys, comparison.assessment.likelihood, after.likelihood, real, repaired)
@@ -320,7 +324,7 @@ def _one_sided(
 def _worst_places(
     comparison: Comparison, after: Assessment, one_sided: Sequence[GroupResidual], known: Sequence[int]
 ) -> list[int]:
-    """Return the place at which each one-sided probe of a sensor is worst, without those that are already `known`."""
+    """Return the place at which each one-sided probe of a sensor is worst, without probes that are already `known`."""
     sizes, keys = np.nan_to_num(np.abs(after.normal)), comparison.pairs.keys
     worst: dict[tuple[str, str], int] = {}
     for group in one_sided:
@@ -331,7 +335,9 @@ def _worst_places(
 
 
 def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:
-    """Return a sentence for each axis with an unexplained line, the worst first, log by log; `names` are the logs'."""
+    """Return a sentence for each axis with an unexplained line, the worst first, log by log; `names` are those of the
+    logs.
+    """
     axes = dict.fromkeys(
         (entry.sensor, entry.axis) for entry in unexplained if entry.statistic == "line" and entry.axis
     )
@@ -343,8 +349,8 @@ def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: S
 
 
 def lines_shown(campaign: Campaign, odd: Sequence[Where], causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return a sentence for each sensor with a deviating line or a line as cause: the frequencies of the lines of its
-    mean spectrum at rest, the highest first, explained or not, with aliases of the mains marked.
+    """Return a sentence for each sensor with a deviating line, or with a line as a cause. It lists the frequencies of
+    the lines of the mean spectrum at rest, explained or not, the highest first, and marks aliases of the mains.
     """
     tone_sensors = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
     names = dict.fromkeys([*tone_sensors, *(entry.sensor for entry in odd if entry.statistic == "line")])
@@ -372,7 +378,7 @@ def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
 
 
 def _mains(hertz: float) -> str:
-    """Return a frequency in words, with the multiple of the mains frequency that it is."""
+    """Return a frequency in words and, if it is a multiple of the mains frequency, the multiple."""
     for mains_hz in MAINS_HZ:
         if (number := round(hertz / mains_hz)) * mains_hz == hertz:
             multiple = "the mains" if number == 1 else f"harmonic {number} of the mains at {mains_hz:g} Hz"
@@ -381,7 +387,7 @@ def _mains(hertz: float) -> str:
 
 
 def _rows_per_s(campaign: Campaign, sensor: str) -> float | None:
-    """Return the rows per second from the usual interval; None if the sensor was never at rest."""
+    """Return the rows per second from the median interval; None if the sensor was never at rest."""
     summaries = (summary for log in campaign.logs for summary in log.still(sensor))
     intervals = [summary.intervals.mean_s for summary in summaries if summary.intervals.count]
     return float(1 / np.median(intervals)) if intervals else None
@@ -391,8 +397,8 @@ def shared_changes(
     keys: Sequence[Key], values: Floats, held_out: Sequence[bool], headers: Mapping[str, SensorHeader]
 ) -> tuple[str, ...]:
     """Return a sentence for each axis on which the level of a held-out log differs from the training part by the same
-    amount in all units of a chip, along their own axes, as an error of their design does. `values` (n,) are residual
-    statistics.
+    amount in all units of a chip, along their own axes. An error of the chip's design has this form. `values` (n,) are
+    residual statistics.
     """
     groups: dict[tuple[str, str, int, str], list[float]] = {}
     for key, value, out in zip(keys, values.tolist(), held_out, strict=True):
@@ -424,7 +430,7 @@ def _shared_change_text(chip: str, unit: str, log: int, axis: str, changes: Floa
 
 
 def line_hz(summary: Summary, axis: int) -> float | None:
-    """Return the apparent frequency of the highest peak of one axis; None if it is no line."""
+    """Return the apparent frequency, in Hz, of the highest peak of one axis; None if it is not a line."""
     spectrum = summary.spectrum
     if spectrum.segments == 0 or not spectrum_probes.line(summary)[axis] > _SCORE or not summary.intervals.count:
         return None

@@ -1,5 +1,5 @@
-"""The result of a diagnosis: the verdict, where the gap is, its causes, and how much of it they close; and reading it
-from its JSON (`gap.json`).
+"""The result of a diagnosis: the verdict, where the gap is, its causes, and how much of it they close. Also reads a
+diagnosis from its JSON (`gap.json`).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ Size = Literal["material", "harmless", "can't tell"]
 Origin = Literal["sensor", "environment", "metadata"]
 
 EVEN = 0.5
-"""Even odds: a cause that explains a gap is at least as probable, and an unknown effect is less probable where the gap
-is explained.
+"""Probability of even odds. A cause that explains a gap is at least this probable, and an unknown effect is less
+probable if the gap is explained.
 """
 
 Interval = tuple[float, float]
@@ -39,11 +39,12 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Where:
-    """One statistic that differs: its value in the recording (`real`) and in the simulation, in `unit` ("" for pure
-    numbers).
+    """One statistic that differs: its value in the recording (`real`) and in the simulation (`simulated`), in `unit`
+    ("" for pure numbers).
 
-    `significance` is the difference in standard deviations of chance, `effect_size` the difference in units of the
-    least one that matters (`margin`, `imuarray.gap.findings.deviations`); `axis` and `phase` are "" for all.
+    `significance` is the difference in standard deviations of chance. `effect_size` is the difference in units of
+    `margin`, the least one that matters (`imuarray.gap.findings.deviations`). `axis` and `phase` are "" for all axes or
+    phases.
     """
 
     log: str
@@ -68,16 +69,16 @@ class Cause:
     """One cause with the probability that it is present.
 
     The probability is its `share` among the effects that explain as much, multiplied by the rate at which causes are
-    right when all causes together close that much of their sensors' gap (`all_closed`).
+    right if all causes together close the share `all_closed` of the gap of their sensors.
 
-    `sensors` and `axes` are those concerned (no axes: all); `parameters` have their names and units, of the first
-    sensor where they differ (`each` has all); `closed` is the share of these sensors' gap that the cause closes on data
-    to which it was not fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`: the training
-    part alone does not show the cause, so that it was detected, and its closed share measured, on both parts together.
-    `preceding` is the number of earlier causes (changes of the sensors' models) in whose presence it was detected.
-    `is_accepted` is false for the effect that comes nearest to explain a gap of which none was accepted; it is in no
-    model, and closes nothing of the diagnosis's `gap`. `alternative_to` names the effect that was accepted in its
-    place ("" for accepted ones): an alternative is in no model either.
+    `sensors` and `axes` are those concerned (no axes: all). `parameters` have their names and units; they are those of
+    the first sensor if the sensors differ (`each` has all). `closed` is the share of these sensors' gap that the cause
+    closes on data to which it was not fitted. `gain` is its log-likelihood ratio on that data, in nats. `needs_both`:
+    the training part alone does not show the cause, so it was detected, and its closed share measured, on both parts
+    together. `preceding` is the number of earlier causes (changes of the sensors' models) in the model when it was
+    detected. `is_accepted` is false for the effect that comes nearest to explaining a gap for which none was accepted;
+    it is in no model and does not count in the diagnosis's `gap`. `alternative_to` names the effect that was accepted
+    instead of it ("" for accepted ones): an alternative is in no model either.
     """
 
     effect: str
@@ -106,16 +107,16 @@ class Cause:
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:
-    """Return whether both parts together were needed to show every cause, so that no part can judge a cause
-    independently; False without causes.
+    """Return whether every cause was detected on both parts together, so that no part can test a cause independently;
+    False without causes.
     """
     return bool(causes) and all(cause.needs_both for cause in causes)
 
 
 @dataclass(frozen=True)
 class CandidateEvaluation:
-    """A candidate that was evaluated for some sensors, whether or not it became a cause; placebos have `effect` "".
-    `fits` and `gain` are log-likelihood ratios in nats on the training and the held-out part.
+    """A candidate effect that was evaluated for some sensors, whether or not it became a cause; placebos have `effect`
+    "". `fits` and `gain` are log-likelihood ratios, in nats, on the training part and on the held-out part.
     """
 
     effect: str
@@ -129,7 +130,8 @@ class CandidateEvaluation:
 @dataclass(frozen=True)
 class Gap:
     """The root mean square score of the statistics that differ, on held-out data: `before` and `after` the causes were
-    added, and without a gap (`floor`); `closed` is the closed share of the squared excess (None without a gap).
+    added, and the value without a gap (`floor`). `closed` is the share of the excess of squared scores that is closed
+    (None without a gap).
     """
 
     before: float
@@ -143,8 +145,9 @@ class Gap:
 
 @dataclass(frozen=True)
 class Overlay:
-    """A curve of one axis: `kind` "spectrum", "allan", "temperature" or "codes"; `real` (n,) over `x` (n,), and the
-    middle and 95 % band (3, n) of simulations `before` and `after`. `x_label` and `y_label` have the units.
+    """A curve of one axis. `kind` is "spectrum", "allan", "temperature" or "codes"; `real` (n,) is the recording over
+    `x` (n,); `before` and `after` (3, n) are the median and the 95 % band of simulations. `x_label` and `y_label`
+    contain the units.
     """
 
     kind: Literal["spectrum", "allan", "temperature", "codes"]
@@ -160,13 +163,13 @@ class Overlay:
 
 
 DIFFERENCES = "differences of "
-"""Beginning of the `effect` of an `Unobservable` that is a domain of statistics that are too uncertain."""
+"""Prefix of the `effect` of an `Unobservable` that is a domain of statistics with too much uncertainty."""
 
 
 @dataclass(frozen=True)
 class Unobservable:
-    """An effect that the recordings cannot show, or a domain of statistics that are too uncertain (`DIFFERENCES`), for
-    these sensors, and what to `record` to show it.
+    """An effect that the recordings cannot show for these sensors, or a domain of statistics that are too uncertain
+    (`DIFFERENCES`), and what to `record` to show it.
     """
 
     effect: str
@@ -176,10 +179,12 @@ class Unobservable:
 
 @dataclass(frozen=True)
 class Pull:
-    """A quantity that the data sheet leaves to the part: its fitted `value` in `unit`, the `tolerance` to either side
-    in the same unit, and the `pull`, the deviation from the nominal value in tolerances. `axis` is "" for all axes;
-    `source` names where the tolerance is printed, such as "BMA-64". `explained_by`: causes of the same sensor that may
-    have made the value, since it was fitted without them.
+    """A quantity that varies from part to part within a tolerance of the data sheet.
+
+    `value` is the fitted value in `unit`, `tolerance` the limit to either side in the same unit, and `pull` the
+    deviation from the nominal value in tolerances. `axis` is "" for all axes. `source` names where the tolerance is
+    printed, such as "BMA-64". `explained_by` are causes of the same sensor that may explain the value, since it was
+    fitted without them.
     """
 
     quantity: str
@@ -200,8 +205,8 @@ class Pull:
 
 @dataclass(frozen=True)
 class Map:
-    """The largest absolute score of each sensor (rows) and domain (columns), before and after; nan where there is none.
-    `limit` is reached by chance in one of twenty campaigns.
+    """The largest absolute score of each sensor (rows) and domain (columns), before and after the causes were added;
+    nan without a statistic. Chance alone exceeds `limit` in one of twenty campaigns.
     """
 
     sensors: tuple[str, ...]
@@ -228,12 +233,12 @@ class Diagnosis:
     """The complete result of a diagnosis.
 
     `missing` are statistics that could not be compared because a recording or the simulator lacks what they need, in
-    phrases such as "no chip thermometer in bench.h5"; `pulls` the quantities that data sheets leave to the part,
-    against their tolerances, none of which is a cause; `repaired` is the base model with the causes in it.
+    phrases such as "no chip thermometer in bench.h5". `pulls` are the quantities that vary from part to part, compared
+    with their tolerances; none is a cause. `repaired` is the base model with the causes in it.
 
     `reason` says why the verdict is this one. `p` is the share of simulations without a gap that differ as much, never
-    less than `p_limit`; `p_tail` is the p-value of the largest difference by the tails fitted to these simulations,
-    multiplied by the number of statistics (nan if unknown).
+    less than `p_limit`. `p_tail` is the p-value of the largest difference according to the tails fitted to these
+    simulations, multiplied by the number of statistics (nan if unknown).
     """
 
     verdict: Verdict
@@ -265,17 +270,17 @@ class Diagnosis:
 
     @property
     def p_limit(self) -> float:
-        """The smallest p that so many replicates can give."""
+        """The smallest p that this number of replicates can give."""
         return 1 / (self.replicates + 1)
 
     @property
     def is_p_limit(self) -> bool:
-        """True if no simulation without a gap differs as much: p is no more than an upper bound."""
+        """True if no simulation without a gap differs as much: p is then only an upper bound."""
         return self.p <= self.p_limit * (1 + 1e-9)
 
     def plot(self) -> Figure:
-        """Return the statistics that differ most, and the causes with the share of the gap that they close;
-        MissingExtraError without matplotlib (extra "report").
+        """Return a figure of the statistics that differ most and of the causes with the share of the gap that they
+        close. Raises MissingExtraError without matplotlib (extra "report").
         """
         from imuarray.gap.findings.plot import diagnosis_figure
 
@@ -293,7 +298,7 @@ class Diagnosis:
         return f"<Diagnosis: {self.verdict}; {f'causes {causes}' if causes else 'no cause'}>"
 
     def _repr_html_(self) -> str:
-        """Return the sentence and the causes, for notebooks."""
+        """Return the sentence and the causes as HTML, for notebooks."""
         from imuarray.gap.findings.text import closed_text, effect_text, listed_causes, places_text, share
         from imuarray.html_table import html_table
 
@@ -317,20 +322,20 @@ class Diagnosis:
 
 
 JSON_NAMES: Mapping[str, str] = MappingProxyType({"unshown": "cannot_tell"})
-"""Names of fields in JSON, where they differ."""
+"""Names of fields in JSON that differ from those of the class."""
 
 NOT_IN_JSON: Mapping[str, Any] = MappingProxyType({"overlays": (), "repaired": None})
-"""Fields that JSON lacks, with their values in a diagnosis that is read from it."""
+"""Fields that are not in JSON, with their values in a diagnosis that is read from it."""
 
 
 _DEPTH = 12
 _HUGE = 1e30
-"""Limit of the figures of a diagnosis."""
+"""Limit of the numbers in a diagnosis that is read from JSON; larger ones are rejected."""
 
 
 def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
-    """Return the diagnosis of a table that `Diagnosis.as_json` made; numbers that JSON could not represent are nan.
-    LogError for anything else.
+    """Return the diagnosis from a table that `Diagnosis.as_json` made; null becomes nan. Raises LogError for anything
+    else.
     """
     hints = get_type_hints(Diagnosis, {**vars(parts), "Model": object})
     if not isinstance(table, Mapping):
@@ -353,7 +358,7 @@ def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
 
 
 def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
-    """Return a value of the type that a field has; LogError if it can't be one."""
+    """Return a value of the type of a field; raises LogError if it can't be converted."""
     origin, inside = get_origin(kind), get_args(kind)
     if depth == 0:
         raise LogError(f"{where}: nested without end")
@@ -416,7 +421,7 @@ def _plain(value: Any, kind: Any, where: str) -> Any:
 
 
 def _anything(value: Any, where: str, depth: int) -> Any:
-    """Return a value of any type, without what a float or a file cannot hold."""
+    """Return a value of any type; raises LogError if it contains what a float or a file cannot hold."""
     if depth == 0:
         raise LogError(f"{where}: nested without end")
     if isinstance(value, Mapping):
@@ -429,14 +434,14 @@ def _anything(value: Any, where: str, depth: int) -> Any:
 
 
 def _number(value: Any, where: str) -> float:
-    """Return a number in the allowed range; JSON's integers are unbounded."""
+    """Return a number; raises LogError beyond the allowed range, since JSON's integers are unbounded."""
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= _HUGE:
         raise LogError(f"{where}: {str(value)[:40]!r} is not a number in the allowed range")
     return value
 
 
 def _text(value: str, where: str) -> str:
-    """Return a text that a file can hold; JSON can encode halves of characters."""
+    """Return a text; raises LogError if a file cannot hold it, since JSON can encode half a character."""
     try:
         value.encode()
     except UnicodeEncodeError:
