@@ -1,10 +1,10 @@
-"""The next experiment: the one of a menu that best separates two causes which explain the recordings equally.
+"""The next experiment: the one of a menu that best separates two causes that explain the recordings equally well.
 
-Both models of one sensor are simulated in every experiment. The criterion is the expected log-likelihood ratio in nats
-of a recording under its own model and the other (Kullback and Leibler 1951), per hour of work.
+Both models of one sensor are simulated in every experiment. The criterion is the expected log-likelihood ratio, in
+nats, of a recording under its own model and the other one (Kullback and Leibler 1951), per hour of work.
 
-It also says which effects a campaign cannot show: those that no recorded experiment shows, and statistics with more
-scatter than the differences that matter.
+This module also lists the effects that a campaign cannot show: those that no recorded experiment shows, and statistics
+with more scatter than the differences that matter.
 """
 
 from __future__ import annotations
@@ -48,13 +48,14 @@ from imuarray.simulate.simulation import Plan, Simulation
 from imuarray.simulate.timeline import PollTimes
 
 LEAST_FACES, LEAST_DEGC, LEAST_RUNS, LEAST_REST_S = 2, 5.0, 4, 60.0
-"""Least faces (with fewer, level and scale are not separated), span of temperature (drift and slope), runs (a spread:
-`imuarray.gap.statistics.probes.run_to_run`) and rest of a static log.
+"""Least contents of a campaign: number of faces (fewer do not separate level and scale), span of temperature in degC
+(for drift and slope), number of runs (for a spread, `imuarray.gap.statistics.probes.run_to_run`), and time at rest in s
+of a static log.
 """
 
 LONGEST_S = 48 * 3600.0
 MOST_RUNS = 20.0
-"""Longest log, and largest multiple of runs, that is suggested."""
+"""Longest log, in s, and largest multiple of the recorded runs that are suggested."""
 
 _EXPERIMENTS: Mapping[Need, tuple[Kind, str]] = MappingProxyType(
     {
@@ -70,16 +71,16 @@ _EXPERIMENTS: Mapping[Need, tuple[Kind, str]] = MappingProxyType(
         ),
     }
 )
-"""The kind of experiment that meets a need, and what to record where the candidate has no text for that kind."""
+"""The kind of experiment that meets a need, and what to record if the candidate has no text for that kind."""
 
 _DONE_BY: tuple[Need, ...] = ("faces", "warmth", "runs", "turns")
-"""The needs that make an experiment of its kind."""
+"""The needs that, if they are met, count as an experiment of their kind."""
 
 _OF_A_GYROSCOPE: Mapping[Need, Need] = MappingProxyType({"faces": "turns", "warm_faces": "warm_turns"})
-"""Needs of a gyroscope where they differ, since it feels nothing on any face."""
+"""Needs of a gyroscope that differ from those of other sensors: it does not measure gravity, so faces show nothing."""
 
 _SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"})
-"""The effect from which an effect is not separable as long as no recorded experiment shows it."""
+"""The effect from which an effect cannot be separated as long as no recorded experiment shows it."""
 
 _INSTEAD: Mapping[str, str] = MappingProxyType(
     {
@@ -90,7 +91,7 @@ _INSTEAD: Mapping[str, str] = MappingProxyType(
         "cross_sensor": "heating: shared errors grow with their cause",
     }
 )
-"""What gives more than a longer log, by domain."""
+"""What to record, by domain, if a longer log is not enough."""
 
 _ABSENT: Mapping[str, str] = MappingProxyType(
     {
@@ -101,7 +102,7 @@ _ABSENT: Mapping[str, str] = MappingProxyType(
         "cross_sensor": "shared errors: there is only one sensor",
     }
 )
-"""Domains that some campaigns have no statistics of, and why."""
+"""Domains without statistics in some campaigns, and the reason."""
 
 _TRIAD = 3
 
@@ -110,9 +111,10 @@ _TRIAD = 3
 class Facts:
     """The facts about a campaign's recordings.
 
-    Number of `faces` the box rested on, including poses by hand; largest `span_degc` of temperature in one log; `runs`
-    of a turn-on series; whether the box `has_turned` while gyroscopes were read; total `rest_s` at rest; `warm_faces`:
-    the number of faces, and `has_turned_warm`: whether there were turns, at temperatures that far apart.
+    `faces`: number of faces on which the box rested, poses by hand included; `span_degc`: largest span of temperature
+    in one log; `runs`: number of runs of a turn-on series; `has_turned`: whether the box turned while gyroscopes were
+    read; `rest_s`: total time at rest. `warm_faces` is the number of faces, and `has_turned_warm` whether the box
+    turned, at temperatures that differ by `LEAST_DEGC` or more.
     """
 
     faces: int
@@ -125,7 +127,7 @@ class Facts:
 
 
 def facts_of(campaign: Campaign) -> Facts:
-    """Return the facts of a campaign, by its phases."""
+    """Return the facts of a campaign from its phases."""
     phases = [phase for log in campaign.logs for phase in log.phases]
     still = [phase for phase in phases if phase.is_still]
     moving = [sensor for phase in phases if not phase.is_still for sensor in phase.sensors.values()]
@@ -148,12 +150,12 @@ def facts_of(campaign: Campaign) -> Facts:
 def unobservable_effects(
     kinds: Collection[str], facts: Facts, candidates: Mapping[str, Candidate], sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Return candidate effects that no recorded kind of experiment shows, each with the triads that need the same
+    """Return the candidate effects that no recorded kind of experiment shows, each with the triads that need the same
     record.
 
-    A kind counts if it has enough content: a tumble at least 2 faces, a heating 5 degC, 4 runs, a minute's rest. Faces,
-    heating and turns in a log of another kind count as well. A candidate with an empty `shown_by` and without known
-    needs is left out, since nothing can be suggested.
+    A kind counts only with enough content: a tumble needs 2 faces, a heating 5 degC, a turn-on series 4 runs, and a
+    static log a minute at rest. Faces, heating and turns in a log of another kind count as well. A candidate with an
+    empty `shown_by` and without known needs is left out, since nothing can be suggested for it.
     """
     met_needs = _met_needs(kinds, facts)
     recorded_kinds = {_EXPERIMENTS[need][0] for need in _DONE_BY if need in met_needs}
@@ -170,10 +172,10 @@ def unobservable_effects(
 def uncertain_domains(
     scales: Floats, margins: Floats, keys: Sequence[Key], seconds: Floats | float, sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Return domains and chips in which differences that matter can't be excluded.
+    """Return the domains and chips in which differences that matter can't be excluded.
 
-    These are statistics whose 95 % interval, 1.96 of their `scales` (n,) of chance to either side, is wider than their
-    `margins` (n,); nan is left out. `seconds` (n,), or one number: length of each one's log.
+    These have statistics with a 95 % interval, 1.96 of their `scales` (n,) of chance to either side, that is wider than
+    their `margins` (n,); nan is ignored. `seconds` (n,), or one number, are the lengths of the logs of the statistics.
     """
     lasted = np.broadcast_to(np.asarray(seconds, float), len(keys))
     places: dict[tuple[str, str], list[int]] = {}
@@ -192,8 +194,8 @@ def uncertain_domains(
 
 
 def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tuple[str, ...]:
-    """Return what recordings lack for statistics that are therefore not compared, in phrases: reference temperatures,
-    chip thermometers, and statistics of other than these `domains`.
+    """Return what the recordings lack for statistics that are therefore not compared, in phrases: reference
+    temperatures, chip thermometers, and statistics of domains that are not among `domains`.
     """
     phrases = []
     for recording in recordings:
@@ -213,8 +215,8 @@ def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tup
 
 
 def with_unobservable_rivals(causes: Sequence[Cause], hidden: Sequence[Unobservable]) -> tuple[Cause, ...]:
-    """Return the causes, with `hidden` effects that no recording shows of at least one of their sensors as further
-    rivals.
+    """Return the causes, with further rivals: `hidden` effects that no recording of at least one of their sensors
+    shows.
     """
     twins = {_SAME_AS[effect.effect]: effect for effect in hidden if effect.effect in _SAME_AS}
 
@@ -257,7 +259,7 @@ def _of_candidate(
     met_needs: frozenset[Need],
     triads: Mapping[str, SensorHeader],
 ) -> Iterator[Unobservable]:
-    """Yield what is to be recorded for the candidate, each with the sensors that need it."""
+    """Yield what to record for a candidate, with the sensors that need it."""
     sensors: dict[str, list[str]] = {}
     for name, header in triads.items():
         if candidate.can_concern(header):
@@ -271,7 +273,7 @@ def _of_candidate(
 def _needed_record(
     candidate: Candidate, quantity: str, recorded_kinds: Collection[str], met_needs: frozenset[Need]
 ) -> str:
-    """Return what to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
+    """Return what to record so that a sensor of this quantity shows the effect; "" if it was recorded."""
     needs = candidate.needs
     if quantity == "angular_rate" != candidate.quantity:
         needs = tuple(_OF_A_GYROSCOPE.get(need, need) for need in needs)
@@ -285,8 +287,8 @@ def _needed_record(
 
 
 def _more_of(domain: str, known: Sequence[tuple[float, float, float]]) -> str:
-    """Return the median length that would resolve the differences, from seconds, scales and margins, or what is more
-    useful than a longer log.
+    """Return the median length of a log that resolves the differences, from (seconds, scale, margin) of each statistic,
+    or what is more useful than a longer log.
     """
     wanted_s = float(np.median([needed(*item) for item in known]))
     if domain == "run_to_run":
@@ -298,10 +300,10 @@ def _more_of(domain: str, known: Sequence[tuple[float, float, float]]) -> str:
 
 
 LEAST = 3.0
-"""Least nats that separate two causes, 20 to 1."""
+"""Least log-likelihood ratio, in nats, that separates two causes: odds of 20 to 1."""
 
 ENOUGH = 12.0
-"""Nats above which more have no value."""
+"""Log-likelihood ratio, in nats, above which a larger one has no value."""
 
 REPLICATES = 6
 _FIRST = 4_000_000
@@ -309,7 +311,7 @@ _FIRST = 4_000_000
 
 @dataclass(frozen=True)
 class Offer:
-    """An experiment: the motions of the box in its logs, hours of work with all handling, and instructions."""
+    """An experiment: the motions of the box in its logs, the hours of work with all handling, and the instructions."""
 
     motions: tuple[Motion, ...] = field(repr=False)
     hours: float
@@ -333,8 +335,8 @@ MENU: Mapping[Kind, Offer] = MappingProxyType(
         ),
     }
 )
-"""The experiments by kind. The hours are our estimate: the logs, 3 minutes to set up, 1 minute for every power-on, 15
-for every heating.
+"""The experiments by kind. The hours are our estimate: the length of the logs, 3 minutes to set up, 1 minute for each
+power-on, and 15 minutes for each heating.
 """
 
 _MORE: Mapping[str, Kind] = MappingProxyType(
@@ -355,11 +357,13 @@ _MORE: Mapping[str, Kind] = MappingProxyType(
         "status": "static",
     }
 )
-"""The experiment that shows more of a domain's statistics."""
+"""The experiment that shows more of the statistics of a domain."""
 
 
 class Rivals(NamedTuple):
-    """Two confusable causes of one unit, one of which was taken, and the independent share of its statistics."""
+    """Two confusable causes of one unit, `selection` (the accepted one) and `rival`, and the share of its statistics
+    that is independent.
+    """
 
     sensors: tuple[str, ...]
     selection: Evaluation
@@ -375,8 +379,10 @@ def next_experiment(
     unshown: Sequence[Unobservable],
     run: Run,
 ) -> str:
-    """Return what to record next, in words: what separates the most probable cause from its rivals; otherwise what
-    shows more of the unexplained remainder (worst first), or of what is not observable.
+    """Return what to record next, in words.
+
+    It is the experiment that separates the most probable cause from its rivals. Without rivals, it is the one that
+    shows more of the unexplained remainder (worst first), or else of what is not observable.
     """
     rivals = rivals_of(searched, causes)
     if rivals is not None:
@@ -393,8 +399,8 @@ def next_experiment(
 
 
 def _showing_experiment(unshown: Sequence[Unobservable]) -> str:
-    """Return the experiment that shows most of what is not observable, per hour; without one the first thing to
-    record.
+    """Return the experiment that shows the most unobservable effects per hour; if no experiment of the menu shows any,
+    the first thing to record.
     """
     effects: dict[Kind, list[str]] = {}
     for hidden in unshown:
@@ -413,7 +419,7 @@ def _showing_experiment(unshown: Sequence[Unobservable]) -> str:
 
 
 def rivals_of(searched: SearchResult, causes: Sequence[Cause]) -> Rivals | None:
-    """Return the most probable cause with a confusable one from the same round."""
+    """Return the most probable cause that has a confusable effect in the same round; None without one."""
     for cause in causes:
         for unit, rounds in searched.rounds.items():
             for round_ in rounds if cause.confusable_with and set(unit) <= set(cause.sensors) else ():
@@ -424,7 +430,7 @@ def rivals_of(searched: SearchResult, causes: Sequence[Cause]) -> Rivals | None:
 
 
 def separations(bench: Bench, rivals: Rivals, run: Run) -> dict[Kind, float]:
-    """Expected nats of each experiment of the menu, for the unit's first two sensors (or its only one)."""
+    """Return the expected nats of each experiment of the menu, for the unit's first two sensors (or its only one)."""
     sides = [_models_of(bench, rivals, evaluation.standing.models) for evaluation in (rivals.selection, rivals.rival)]
     sensors = rivals.sensors[:2]
     benches = run(_bench_of_experiment, [_ExperimentRequest(kind, sides[0]) for kind in MENU])
@@ -449,11 +455,12 @@ def separations(bench: Bench, rivals: Rivals, run: Run) -> dict[Kind, float]:
 
 
 def nats_between(first: Floats, second: Floats, floor: Floats, independent: float) -> float:
-    """Expected log-likelihood ratio between two models in nats, from replicates (r, n) of both with the same draws.
+    """Return the expected log-likelihood ratio between two models, in nats, from replicates (r, n) of both with the
+    same draws.
 
     `floor` (n,) is the least meaningful scatter, `independent` the share of the n statistics that is independent. Each
-    statistic counts by the squared distance of the means over the scatter of single recordings, bounded by Student's t
-    as in the search; the chance level of r replicates is subtracted.
+    statistic contributes the squared distance of the means divided by the variance of single recordings, limited by
+    Student's t as in the search. The expected chance contribution of r replicates is subtracted.
     """
     there = [np.isfinite(side).all(axis=0) for side in (first, second)]
     known = there[0] & there[1]
@@ -465,7 +472,7 @@ def nats_between(first: Floats, second: Floats, floor: Floats, independent: floa
     freedom = 2 * (len(first) - 1)
     chance = (
         difference.var(axis=0, ddof=1) / len(first) * freedom / (freedom - 2)
-    )  # 1 over the scatter is so much too large
+    )  # the mean of 1 / variance is too large by this factor
     square = (distance**2 - chance) / (np.maximum(scatter, least**2) + (FORM * distance) ** 2)
     bounded = np.sign(square) * np.log1p(np.abs(square) / FREEDOM)
     total = bounded.sum() + np.count_nonzero(strange) * math.log1p(LARGEST_SCORE**2 / FREEDOM)
@@ -493,7 +500,7 @@ def _separating_experiment(bench: Bench, rivals: Rivals, run: Run) -> str:
 
 
 def _pair(cause: Cause, round_: Round) -> tuple[Evaluation, Evaluation] | None:
-    """Return the best trials of the cause and of an effect that is confusable with it."""
+    """Return the first trials of the cause and of an effect that is confusable with it; None without either."""
     evaluation = next((trial for trial in round_.confirmed if _is(trial, cause)), None)
     rival = next((trial for trial in round_.confirmed if trial.trial.name in cause.confusable_with), None)
     return None if evaluation is None or rival is None else (evaluation, rival)
@@ -504,7 +511,7 @@ def _is(trial: Evaluation, cause: Cause) -> bool:
 
 
 def _models_of(bench: Bench, rivals: Rivals, models: Models) -> Models:
-    """Models of the unit's first two sensors, and of the sensors whose data they have."""
+    """Return the models of the unit's first two sensors, and of the sensors from which they get data."""
     unit_models = {name: models[name] for name in rivals.sensors[:2]}
     drawn_effects = bench.base.effects(0)
     sources = {
@@ -528,7 +535,7 @@ class _SimulationRequest(NamedTuple):
 
 
 def _bench_of_experiment(bench: Bench, request: _ExperimentRequest) -> Bench:
-    """Return the bench of an experiment, as if its first replicate had been recorded."""
+    """Return the bench of an experiment with its first replicate as the recording."""
     base = replace(
         bench.base,
         headers={name: bench.base.headers[name] for name in request.models},
@@ -545,7 +552,7 @@ def _bench_of_experiment(bench: Bench, request: _ExperimentRequest) -> Bench:
 
 
 def _replicates(_: Bench, request: _SimulationRequest) -> Floats:
-    """Return statistics (r, n) of the sensors concerned."""
+    """Return the statistics (r, n) of the sensors concerned."""
     campaigns = request.bench.campaigns([(request.models, number) for number in request.numbers])
     return np.array([measured.values for measured in request.bench.each_measured(campaigns, request.sensors)])
 
@@ -570,7 +577,7 @@ def _layouts(experiment: Experiment, phases: Sequence[Phase]) -> tuple[Layout, .
 
 
 def _offered(kind: Kind, *, again: bool = False) -> str:
-    """Return the instructions of an experiment with its hours of work."""
+    """Return the instructions for an experiment, with its hours of work."""
     return f"{MENU[kind].words}{' again' if again else ''} ({_hours(MENU[kind].hours)})"
 
 
@@ -579,7 +586,7 @@ def _hours(hours: float) -> str:
 
 
 def _odds(nats: float) -> str:
-    """Return the odds of the true cause against the other that a log-likelihood ratio stands for."""
+    """Return a log-likelihood ratio as odds of the true cause against the other one."""
     least = f"more than {number(math.exp(ENOUGH), 1)}" if nats > ENOUGH else number(math.exp(nats), 2)
     return f"{least} to 1"
 

@@ -1,10 +1,10 @@
-"""Wrong labels: phases for which another axis was noted as up than the true one.
+"""Wrong labels: phases in which another axis was noted as up than the true one.
 
-All accelerometers feel the same direction up, whatever their biases. If most of them contradict the label in the same
-way, the label is wrong and not the sensors. A single sensor that contradicts it has exchanged axes (`axis_error`), and
-so have several that are rotated in every phase if another agrees with the labels. Two sensors that are read in each
-other's place for part of the time (`channel_swap`) contradict all labels of that time. Every phase is tested by itself,
-so that two exchanged faces are both detected.
+All accelerometers measure the same direction up, whatever their biases. If most of them contradict the label in the
+same way, the label is wrong and not the sensors. A single sensor that contradicts it has exchanged axes (`axis_error`).
+So have several sensors that are rotated in every phase if another sensor agrees with the labels. Two sensors that are
+read in each other's place for part of the time (`channel_swap`) contradict all labels of that time. Every phase is
+tested separately, so that two exchanged faces are both detected.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import PoseSequence
 
 ALONG = 0.9
-"""Least cosine between the measured force and a face on which the box lies (26 degrees); the cosine with any other face
-is then below 0.44.
+"""Least cosine of the angle between the measured force and the direction of the face on which the box lies (26
+degrees). The cosine with any other face is then below 0.44.
 """
 
 LEAST = 2
-"""Fewest accelerometers: a single one that contradicts a label may itself be wrong, unless other phases determine how
-it is mounted.
+"""Fewest accelerometers that can contradict a label. A single one may itself be wrong, unless other phases determine
+how it is mounted.
 """
 
 _UP_AND_DOWN_G = 1.5
-"""Least difference of the readings of an axis in g that it has only if it pointed up once and down once."""
+"""Least range of the readings of an axis, in g, that shows that it pointed up once and down once."""
 
 _UPS = np.array([up_vector(up) for up in UP_AXES])
 
@@ -53,8 +53,9 @@ _UPS = np.array([up_vector(up) for up in UP_AXES])
 class WrongLabel:
     """A phase of log number `log`, named `name`, as it was noted; `up` is the axis that was up in it.
 
-    `readings_g` are the accelerometers' means (3,) in the box frame; `agree` names those that feel `up` themselves.
-    `or_mounted`: one rotation of all accelerometers against the box would explain every label of the campaign as well.
+    `readings_g` are the accelerometers' means (3,) in the box frame; `agree` names the accelerometers that measure
+    `up`. `or_mounted`: one rotation of all accelerometers against the box would explain every label of the campaign as
+    well.
     """
 
     log: int
@@ -67,34 +68,35 @@ class WrongLabel:
 
     @property
     def noted_g(self) -> float:
-        """Rms distance of the agreeing sensors from the noted face, each scaled to 1 g, since a wrong range does not
-        concern the label.
+        """Rms distance of the agreeing sensors from the noted face, in g. Each reading is scaled to 1 g, since a wrong
+        range does not concern the label.
         """
         return self._rms_from_g(self.phase.up)
 
     @property
     def true_g(self) -> float:
-        """The same distance from the face that they feel."""
+        """Rms distance of the agreeing sensors from the face that they measure, in g."""
         return self._rms_from_g(self.up)
 
     @cached_property
     def remainder(self) -> float:
-        """Share of the squared distance that remains with the right label; of readings scaled to 1 g."""
+        """Share of the squared distance that remains with the right label, for readings scaled to 1 g."""
         return (self.true_g / self.noted_g) ** 2
 
     @property
     def probability(self) -> float:
         """Probability that the label is wrong.
 
-        Under either label the errors of direction are normal, two for each accelerometer, of unknown size: the odds are
-        the ratio of distances to the power of their number, and a sensor that does not agree cancels one that does.
+        Under either label the errors of direction are normal with unknown variance, two for each accelerometer. The
+        odds are the ratio of the distances to the power of the number of errors. A sensor that does not agree cancels
+        one that does.
         """
         votes = 2 * len(self.agree) - len(self.readings_g)
         return float(1 / (1 + self.remainder**votes))
 
     @property
     def closed_ci95(self) -> Interval:
-        """95 % interval of `1 - remainder`, by two normal errors of each agreeing accelerometer."""
+        """95 % interval of `1 - remainder`, from two normal errors of each agreeing accelerometer."""
         count = len(self.agree)
         low, high = (1 - self.remainder * count / float(gammaincinv(count, share)) for share in (0.025, 0.975))
         return low, high
@@ -106,18 +108,18 @@ class WrongLabel:
 
 
 def find_wrong_labels(recordings: Sequence[Recording], campaign: Campaign) -> tuple[WrongLabel, ...]:
-    """Return the phases at rest whose noted face is wrong. `campaign` has the recordings' summaries, one log for each,
-    of whole phases or of parts of them.
+    """Return the phases at rest in which the wrong face is noted. `campaign` has the summaries of the recordings, one
+    log for each, of whole phases or of parts of them.
 
-    A face is wrong if the median of the accelerometers' means by nominal axes and sensitivity is along another face,
-    and more than half of at least two accelerometers feel that face themselves. A single accelerometer is believed
-    where it agrees with faces along two axes, which determine how it is mounted, and with more labels than it
+    A noted face is wrong if the median over the accelerometers of their means, by nominal axes and sensitivity, is
+    along another face, and more than half of at least two accelerometers measure that face. A single accelerometer is
+    trusted if it agrees with faces along two axes, which determine how it is mounted, and with more labels than it
     contradicts.
 
     Sensors may also be mounted differently than configured, for example two with exchanged wires. Such a sensor is
     rotated equally in every phase, while another agrees with the notes. Or two of one kind are read in each other's
-    place for a part of the time, and both agree with the notes as each other. The hypothesis with fewer faults of
-    labels and sensors is taken.
+    place for a part of the time; each then agrees with the notes in the other's place. The hypothesis with the fewest
+    faults of labels and sensors is accepted.
     """
     noted = [
         _LabelledPhase(number, recording.name, phase, readings)
@@ -138,7 +140,7 @@ def find_wrong_labels(recordings: Sequence[Recording], campaign: Campaign) -> tu
 
 
 def face_of(force: Floats) -> str:
-    """Return the box axis ("+X") along which a force (3,) lies within 26 degrees, "" for none."""
+    """Return the box axis ("+X") from which a force (3,) differs by less than 26 degrees; "" without one."""
     length = float(np.linalg.norm(force))
     cosines = _UPS @ force / length if length > 0 else np.zeros(len(_UPS))
     best = int(np.argmax(cosines))
@@ -146,8 +148,8 @@ def face_of(force: Floats) -> str:
 
 
 def correct_labels(recordings: Sequence[Recording], wrong: Sequence[WrongLabel]) -> tuple[Recording, ...]:
-    """Return the recordings with corrected labels in phases, kind and motion; phases keep their names. A motion that
-    follows the log's own track is kept.
+    """Return the recordings with corrected labels in phases, kind and motion. Phases keep their names, and a motion
+    that follows the log's own track is kept.
     """
     return tuple(
         _with_labels(recording, log_labels)
@@ -158,8 +160,7 @@ def correct_labels(recordings: Sequence[Recording], wrong: Sequence[WrongLabel])
 
 
 def cause_of(label: WrongLabel, sensors: Sequence[str] = ()) -> Cause:
-    """Return a wrong label as a cause, `face_error`; of `sensors`, or of the accelerometers that were read in the
-    phase.
+    """Return a wrong label as a cause, `face_error`, of `sensors` or of the accelerometers that were read in the phase.
 
     It closes the share of the accelerometers' squared distance from the face that the right label removes.
     """
@@ -188,7 +189,7 @@ def note_of(label: WrongLabel) -> str:
 
 
 def _readings_g(log: LogSummary, phase: Phase) -> dict[str, Floats]:
-    """Means (3,) of the accelerometers over all summarised parts of a phase, in the box frame, by name."""
+    """Return the means (3,) of the accelerometers over all summarised parts of a phase, in g, box frame, by name."""
     sums: dict[str, Floats] = {}
     rows: dict[str, int] = {}
     for part in log.phases:
@@ -212,8 +213,8 @@ class _LabelledPhase(NamedTuple):
 
 
 def _without_biases(noted: Sequence[_LabelledPhase]) -> list[_LabelledPhase]:
-    """Return the phases with readings without a sensor's bias, along axes that pointed up and down,
-    whatever was noted.
+    """Return the phases with each sensor's bias removed from its readings, along axes that pointed up and down. The
+    noted faces are not used.
     """
     biases: dict[str, Floats] = {}
     for sensor in dict.fromkeys(name for item in noted for name in item.readings_g):
@@ -227,7 +228,7 @@ def _without_biases(noted: Sequence[_LabelledPhase]) -> list[_LabelledPhase]:
 
 
 class _LabelCheck(NamedTuple):
-    """Wrong labels, and the number of faults of labels and sensors with them."""
+    """Wrong labels, and the number of faults of labels and sensors if they are wrong."""
 
     wrong: tuple[WrongLabel, ...]
     faults: int
@@ -235,7 +236,7 @@ class _LabelCheck(NamedTuple):
 
 def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) -> _LabelCheck:
     """Return the wrong labels if some sensors' axes are rotated by `turns` (3, 3) against the configuration. Faults are
-    these sensors, the wrong labels, and sensors that feel another face than the true one.
+    these sensors, the wrong labels, and sensors that measure another face than the true one.
     """
     wrong, odd = [], set(turns)
     mountings = _known_mountings(noted)
@@ -275,8 +276,9 @@ def _known_mountings(noted: Sequence[_LabelledPhase]) -> set[str]:
 
 
 def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> float:
-    """Return number of faults if the labels are right and two sensors of one chip and sensitivity are read in each
-    other's place for a part of the time: these, and others that feel another face. Infinite if there is no such pair.
+    """Return the number of faults if the labels are right and two sensors of one chip and sensitivity are read in each
+    other's place for a part of the time: these two, and other sensors that measure another face. Infinite without such
+    a pair.
     """
     names = dict.fromkeys(name for item in noted for name in item.readings_g)
     odd = {
@@ -295,10 +297,10 @@ def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, S
 
 
 def _is_exchange(noted: Sequence[_LabelledPhase], first: SensorHeader, other: SensorHeader) -> bool:
-    """Return whether two sensors agree with the noted face in every phase, as themselves or as each other, and change
-    places at most once in a log.
+    """Return whether two sensors agree with the noted face in every phase, either as themselves or as each other, and
+    are exchanged at most once in a log.
     """
-    turn = np.array(first.orientation) @ np.array(other.orientation).T  # of the other's rows, read as the first's
+    turn = np.array(first.orientation) @ np.array(other.orientation).T  # from the other's rows to the first's
     states: dict[int, list[bool]] = {}
     for item in noted:
         if not {first.name, other.name} <= set(item.readings_g):
@@ -315,8 +317,8 @@ def _is_exchange(noted: Sequence[_LabelledPhase], first: SensorHeader, other: Se
 
 
 def _rotations_of(noted: Sequence[_LabelledPhase]) -> dict[str, Floats]:
-    """Return the rotation of each sensor by which it agrees with most of the noted faces, where it agrees with more
-    than without. Empty if no sensor is left unrotated: then only the labels say which way is up.
+    """Return the rotation of each sensor with which it agrees with most of the noted faces, if it agrees with more of
+    them than without. Empty if all sensors are rotated: only the labels then determine the direction up.
     """
     names = dict.fromkeys(name for item in noted for name in item.readings_g)
     turns = {name: turn for name in names if (turn := _rotation_of(noted, name)) is not None}
@@ -335,12 +337,12 @@ def _rotation_of(noted: Sequence[_LabelledPhase], sensor: str) -> Floats | None:
 
 
 def _rotations() -> Iterator[Floats]:
-    """Return the rotations (3, 3) of a chip that exchange axes; no chip is mirrored."""
+    """Return the rotations (3, 3) that exchange axes; mirrored chips do not exist."""
     return (matrix for matrix in exchanges().values() if np.linalg.det(matrix) > 0)
 
 
 def _is_consistent(turn: Floats, labels: Sequence[tuple[str, str]]) -> bool:
-    """Return whether a rotation takes every noted face to the measured one."""
+    """Return whether a rotation converts every noted face to the measured one."""
     return all(np.array_equal(turn @ up_vector(noted), up_vector(felt)) for noted, felt in labels)
 
 

@@ -1,4 +1,4 @@
-"""Curves of the recording and of simulations before and after the causes were added, where it differs most.
+"""Curves of the recording, and of simulations before and after the causes were added, where the recording differs most.
 
 Curves are of the held-out part: the models were fitted to the other part and agree with it too well.
 """
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 Kind = Literal["spectrum", "allan", "temperature", "codes"]
 
 REPLICATES = 12
-"""Replicates of each model; their 95 % band reaches nearly from the lowest to the highest."""
+"""Number of replicates of each model. Their 95 % band is nearly that from the lowest to the highest."""
 
 MOST = 12
-"""Curves of a diagnosis at most."""
+"""Largest number of curves of a diagnosis."""
 
 OF_SENSOR = 3
-"""Most curves of one sensor."""
+"""Largest number of curves of one sensor."""
 
 CODES, BINS = 200, 40
-"""Most places of a histogram, and of temperatures."""
+"""Largest number of bins of a histogram, and of bins of temperature."""
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
@@ -56,21 +56,21 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "temperature": "temperature",
     }
 )
-"""The curve that shows a domain's statistics. Timing, and responses to force and motion, have none."""
+"""The curve that shows the statistics of a domain. Timing, and responses to force and motion, have no curve."""
 
 _FIRST = 3_000_000
 _TERMS = 4
-"""Fewest differences of an Allan variance that is drawn."""
+"""Fewest differences of a point of the Allan deviation that is drawn."""
 
 _NAMED = 3
-"""Most phases that are named; more are counted."""
+"""Largest number of phases that are named; if there are more, only their number is given."""
 
 _RARE = 0.001
-"""Share of the readings at either end that does not widen a histogram."""
+"""Share of the readings at either end of a histogram that does not widen it."""
 
 
 class Curve(NamedTuple):
-    """A curve of one axis: `phases` are places in the log's own order, a single one except for temperatures."""
+    """A curve of one axis; `phases` are their numbers in the log, a single one except for temperatures."""
 
     kind: Kind
     sensor: str
@@ -80,7 +80,7 @@ class Curve(NamedTuple):
 
 
 class CurveShape(NamedTuple):
-    """The x positions of a curve, and the function of the sensor's summaries that gives its values there."""
+    """The x positions of a curve, and the function that returns its values there from the sensor's summaries."""
 
     x: Floats
     values: Callable[[Sequence[Summary]], Floats]
@@ -88,7 +88,7 @@ class CurveShape(NamedTuple):
 
 @dataclass(frozen=True)
 class _CurveRequest:
-    """The input of a job: curves with the recorded summaries that determine their x positions."""
+    """The input of a job: curves, with the recorded summaries that determine their x positions."""
 
     models: Models = field(repr=False)
     numbers: Sequence[int]
@@ -103,9 +103,9 @@ def overlays_of(
     run: Run,
     names: Sequence[str] = (),
 ) -> tuple[Overlay, ...]:
-    """Curves that show the statistics `where` (worst first), of the recorded `campaign` and of 12 replicates of the
-    `models` before and after the repair: each once, at most `MOST`, at most `OF_SENSOR` of one sensor. `names` are the
-    logs' (as in `where`); without them, a phase is known by its own name.
+    """Return curves that show the statistics `where` (worst first), of the recorded `campaign` and of 12 replicates of
+    the `models` before and after the repair. Each curve is returned once; at most `MOST` in all and `OF_SENSOR` of one
+    sensor. `names` are those of the logs (as in `where`); without them, a phase is identified by its own name.
     """
     curves = tuple((curve, summaries_of(campaign, curve)) for curve in curves_of(bench, campaign, where, MOST, names))
     if not curves:
@@ -157,7 +157,7 @@ def curves_of(
 
 
 def summaries_of(campaign: Campaign, curve: Curve) -> tuple[Summary, ...]:
-    """Return summaries of the curve's phases, in a campaign summarised in all phases of its split."""
+    """Return the summaries of the curve's phases, from a campaign that has all phases of its split."""
     return tuple(campaign.logs[curve.log].phases[at].sensors[curve.sensor] for at in curve.phases)
 
 
@@ -167,8 +167,8 @@ def drawn(curve: Curve, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def bands(replicates: Sequence[Floats]) -> Floats:
-    """Return the median and 95 % band (3, n) of replicates, each (n,); nan where fewer than half of
-    them have a value.
+    """Return the median and the ends of the 95 % band (3, n) of replicates (n,); nan where fewer than half of them have
+    a value.
     """
     values = np.array(replicates)
     table = np.full((3, values.shape[1]), np.nan)
@@ -207,7 +207,7 @@ def _caption(bench: Bench, curve: Curve, recorded: Sequence[Summary]) -> str:
 def _phase(
     bench: Bench, campaign: Campaign, entry: Where, kind: Kind, names: Sequence[str]
 ) -> tuple[int, tuple[int, ...]] | None:
-    """Return the held-out phase of a statistic, or the longest one at rest, because the spectrum of a moving box is not
+    """Return the held-out phase of a statistic, or else the longest one at rest: the spectrum of a moving box is not
     that of its noise.
     """
     own_log = _held_out_log(bench, campaign, entry, names)
@@ -243,7 +243,7 @@ def _widest_heating(bench: Bench, campaign: Campaign, entry: Where) -> tuple[int
 
 
 def _held_out_log(bench: Bench, campaign: Campaign, entry: Where, names: Sequence[str]) -> int | None:
-    """Return the held-out log that belongs to the training log by which a pair of statistics is named."""
+    """Return the held-out log of a pair of statistics, which is named by its training log."""
     train, held_out = (side(campaign).logs for side in (bench.split.train, bench.split.held_out))
     known = [names[log] for log in train] if names else []
     place = known.index(entry.log) if entry.log in known else len(held_out)
@@ -251,7 +251,7 @@ def _held_out_log(bench: Bench, campaign: Campaign, entry: Where, names: Sequenc
 
 
 def _held_out(bench: Bench, campaign: Campaign, sensor: str) -> Iterator[tuple[int, int]]:
-    """Yield places (log, phase) of the held-out part in which a sensor was read."""
+    """Yield the numbers (log, phase) of the held-out phases in which a sensor was read."""
     for log, (log_share, summary) in enumerate(zip(bench.split.shares, campaign.logs, strict=True)):
         for at, (out, phase) in enumerate(zip(log_share.held_out, summary.phases, strict=True)):
             if out and sensor in phase.sensors and phase.sensors[sensor].rows:
@@ -259,7 +259,7 @@ def _held_out(bench: Bench, campaign: Campaign, sensor: str) -> Iterator[tuple[i
 
 
 def _spectrum(axis: int, recorded: Sequence[Summary]) -> CurveShape:
-    """Amplitude spectral density without the bin of the mean."""
+    """Return the amplitude spectral density without the bin of the mean."""
     rows_per_s = 1 / recorded[0].intervals.mean_s
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
 
@@ -271,7 +271,7 @@ def _spectrum(axis: int, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def _allan(axis: int, recorded: Sequence[Summary]) -> CurveShape:
-    """Allan deviation."""
+    """Return the Allan deviation."""
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
     known = recorded[0].allan.terms >= _TERMS
     factors = 2.0 ** np.flatnonzero(known)
@@ -282,14 +282,15 @@ def _allan(axis: int, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def _codes(axis: int, recorded: Sequence[Summary]) -> CurveShape:
-    """Return shares of the codes about the median. A simulation is shifted there by whole steps of both sides' codes,
-    since its level is shown elsewhere and the set of codes must not change.
+    """Return the shares of the codes around the recorded median. A simulation is shifted to this median, because other
+    curves show its level. It is shifted by a multiple of the code steps of both, so that its set of codes does not
+    change.
     """
     real = recorded[0].codes[axis]
     middle, low, high = (_quantile(real, share) for share in (0.5, _RARE, 1 - _RARE))
     width = 1
     while 1.5 * (high - low) >= CODES * width:
-        width *= 2  # codes that are all even, or multiples of four, do not beat with it
+        width *= 2  # a power of two: codes that are all even, or multiples of four, fill all bins equally
     margin = (high - low) // 4 + width
     edges = np.arange(low - margin, high + margin + width, width)
 
@@ -304,7 +305,7 @@ def _codes(axis: int, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def _temperature(axis: int, recorded: Sequence[Summary]) -> CurveShape:
-    """Return means of readings at similar recorded temperatures, minus that of the whole log: the shape, not the
+    """Return the means of readings at similar recorded temperatures, less the mean of the whole log: the shape, not the
     level.
     """
     factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
@@ -349,7 +350,7 @@ def _readable(summary: Summary) -> tuple[float, str]:
 
 
 def _quantile(histogram: Histogram, share: float) -> int:
-    """Return the code at or below which this share of the readings lies; 0 without readings."""
+    """Return the lowest code with at least this share of the readings at or below it; 0 without readings."""
     if not len(histogram.codes):
         return 0
     cumulative = np.cumsum(histogram.counts)
@@ -357,6 +358,6 @@ def _quantile(histogram: Histogram, share: float) -> int:
 
 
 def _step(histogram: Histogram) -> int:
-    """Return the greatest common divisor of the distances of the usual codes; 1 without codes."""
+    """Return the greatest common divisor of the differences of the usual codes; 1 without codes."""
     usual = histogram.codes[histogram.counts > _RARE * histogram.counts.sum()]
     return max(int(np.gcd.reduce(np.diff(usual))), 1) if len(usual) > 1 else 1
