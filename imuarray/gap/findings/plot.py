@@ -1,4 +1,4 @@
-"""A drawing of a diagnosis: the statistics that differ most before and after its causes, and the causes themselves."""
+"""A figure of a diagnosis: the statistics that differ most, and the causes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _MOST = 12
 
 
 def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
-    """Return the worst statistics by their significance, and each listed cause by the share of the gap that it would
-    close, with its 95 % interval and its probability; MissingExtraError without matplotlib.
+    """Return a figure of the worst statistics by their significance, and of each listed cause by the share of the gap
+    that it would close, with its 95 % interval and its probability. Raises MissingExtraError without matplotlib.
     """
     rows = max(min(_MOST, len(diagnosis.where)), len(listed_causes(diagnosis.causes)), 3)
     figure = new_figure(10.0, 1.6 + 0.3 * rows)
@@ -33,7 +33,7 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def _draw_worst(panel: Axes, diagnosis: Diagnosis) -> None:
-    """The statistics that differ most."""
+    """Draw the statistics that differ most."""
     worst = diagnosis.where[:_MOST]
     labels = [f"{entry.sensor} {entry.axis} {entry.statistic}".replace("  ", " ") for entry in worst]
     panel.barh(np.arange(len(worst)), [abs(entry.significance) for entry in worst], color=PALETTE[2], height=0.6)
@@ -44,7 +44,7 @@ def _draw_worst(panel: Axes, diagnosis: Diagnosis) -> None:
 
 
 def _draw_causes(panel: Axes, diagnosis: Diagnosis) -> None:
-    """The causes that are listed, most probable first."""
+    """Draw the listed causes, the most probable first."""
     causes = listed_causes(diagnosis.causes)
     for row, cause in enumerate(causes):
         closed, interval = own_closure(cause, diagnosis)

@@ -1,6 +1,6 @@
-"""The repaired model: the base model with every cause in it, as a file to simulate with and to diagnose with again.
+"""The repaired model: the base model with all causes in it, as a file for simulations and for another diagnosis.
 
-Every sensor has its fitted parameters and its causes; its other effects stay with its design, as populations.
+Every sensor has its fitted parameters and its causes. Its other effects remain with its design, as populations.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _SLOPE = "slope_"
 _QUADRATIC = "quadratic_"
 
 _HARMLESS: Recipe = {}
-"""An effect without arguments does nothing."""
+"""Recipe of an effect without arguments, which does nothing."""
 
 
 def repair_model(
     bench: Bench, models: Models, model: Model | None, name: str, *, about: str = "", logs: Sequence[str] = ()
 ) -> Model:
-    """Return the repaired model called `name` for the bench's sensors: `models` on top of the designs of `model`, on
-    which the diagnosis was based (None: the data sheets' scale and misalignment). Known units of `model` that were not
+    """Return the repaired model with this `name` for the bench's sensors: `models` on top of the designs of `model`, on
+    which the diagnosis was based (None: the data sheets' scale and misalignment). Units of `model` that were not
     recorded keep their parameters.
 
-    An effect that was detected as missing replaces the one of the design with its harmless values. `about` is the
-    description in the file; by default, what was diagnosed from which kinds of `logs`, or from these.
+    If an effect of the design was detected as absent, the sensor gets it with harmless values instead. `about` is the
+    description in the file; by default it states what was diagnosed, from `logs` or from how many logs of which kinds.
     """
     headers = bench.base.headers
     rest = model or usual_model(headers.values())
@@ -45,7 +45,7 @@ def repair_model(
 
 
 def _sensor(model: Model, header: SensorHeader, own_model: SensorModel) -> Part:
-    """Return the model of one sensor; effects that it shares with its designs are left to them."""
+    """Return the model of one sensor, without the effects that it shares with its designs."""
     parts = model.parts(header)
     added: dict[str, list[Recipe]] = {}
     for effect in (*own_model.fitted.effects(), *own_model.added):
@@ -65,7 +65,7 @@ def _sensor(model: Model, header: SensorHeader, own_model: SensorModel) -> Part:
 
 
 def _kept(kind: str, recipes: Sequence[Recipe]) -> Iterator[Recipe]:
-    """Return the part of a model's effect that is not fitted: all, nothing, or the curve of a bias over temperature."""
+    """Yield the part of a model's effect that is not fitted: all, nothing, or the curve of a bias over temperature."""
     if kind not in ORDINARY:
         yield from recipes
     elif kind == ThermalBias.name:

@@ -1,4 +1,4 @@
-"""A diagnosis in words: numbers with their units, parts of it as text, and the text for the terminal."""
+"""A diagnosis in words: numbers with their units, parts of a diagnosis as text, and the text for the terminal."""
 
 from __future__ import annotations
 
@@ -30,28 +30,28 @@ NOTHING = "–"
 NOT_ACCEPTED = "the nearest known effect; the evidence does not suffice to accept it"
 
 LEAST_LISTED = 0.05
-"""Least probability of a cause that the terminal and the page list; gap.json has all."""
+"""Least probability at which the terminal and the page list a cause; gap.json has all causes."""
 
 _LEAST_P = 1e-6
-"""Smallest p-value by fitted tails that is printed: replicates do not determine tails further out."""
+"""Smallest p-value from the fitted tails that is printed: replicates do not determine the tails further out."""
 
 _DIGITS, _MOST_DIGITS = 3, 7
-"""Significant digits of numbers, and of two numbers that are nearly the same."""
+"""Number of significant digits, and the largest number of them, used for two numbers that are nearly equal."""
 
 _MOST = 9
-"""Most numbers of a list that are shown, as many as a response has."""
+"""Largest number of values of a list that are shown. A response matrix has nine."""
 
 _WHEN = ("spans", "run", "runs", "moments_s", "lengths_s", "stuck_axes")
-"""Parameters that say in which logs, when and on which axes an effect acts."""
+"""Parameters that state in which logs, when and on which axes an effect acts."""
 
 _SMALL_G = 0.1
-"""Accelerations below it are written in mg."""
+"""Acceleration in g below which values are written in mg."""
 
 _SHARES = ("probability", "error")
 """Parameters that are shares of 1."""
 
 _NAMES: Mapping[str, str] = MappingProxyType({"position": "displacement from the configured position (box X, Y, Z)"})
-"""Parameters whose name alone would be misunderstood."""
+"""Names of parameters that would be misunderstood without an explanation."""
 
 _UNITS: Mapping[str, str] = MappingProxyType(
     {name: name for name in ("g", "dps", "gauss", "s", "h", "ppm", "mm")}
@@ -82,7 +82,7 @@ _DOMAINS: Mapping[str, str] = MappingProxyType(
 
 
 def number(value: float, digits: int = _DIGITS) -> str:
-    """Format a number with so many significant digits, without exponent below a million; "–" for what isn't finite."""
+    """Format a number with `digits` significant digits, without exponent below a million; "–" if it isn't finite."""
     if not isfinite(value):
         return NOTHING
     text = f"{value + 0.0:.{digits}g}"  # -0 becomes 0
@@ -90,14 +90,14 @@ def number(value: float, digits: int = _DIGITS) -> str:
 
 
 def scored(score: float) -> str:
-    """Format a score: one digit after the point below ten, otherwise whole; "∞" for infinity, "–" for nan."""
+    """Format a score with one decimal below ten, otherwise as a whole number; "∞" for infinity, "–" for nan."""
     if not isfinite(score):
         return "∞" if score > 0 else NOTHING
     return f"{score:.1f}" if abs(score) < 9.95 else f"{score:.0f}"
 
 
 def share(value: float | None) -> str:
-    """Format a share in percent; "–" for None. Only exact 0 and 1 are 0 and 100 %."""
+    """Format a share in percent; "–" for None. "0 %" and "100 %" are written for exact values only."""
     if value is None or not isfinite(value):
         return NOTHING
     for limit, edge in ((0.005, 0.0), (0.995, 1.0)):
@@ -107,8 +107,8 @@ def share(value: float | None) -> str:
 
 
 def chance(p: float, replicates: int = 0) -> str:
-    """Format a p-value: "p = 0.03", "p < 0.001"; as a bound, rounded up, if it is the smallest that so many
-    `replicates` can give: "p < 0.016" with 64.
+    """Format a p-value: "p = 0.03", "p < 0.001". If it is the smallest that this number of `replicates` can give, it is
+    a bound that is rounded up: "p < 0.016" with 64.
     """
     if not isfinite(p):
         return f"p {NOTHING}"
@@ -118,7 +118,7 @@ def chance(p: float, replicates: int = 0) -> str:
 
 
 def chance_text(diagnosis: Diagnosis) -> str:
-    """State how often chance alone gives such a difference, and what a p-value at its limit means."""
+    """Return how often chance alone gives such a difference, and what the smallest possible p-value means."""
     p = chance(diagnosis.p, diagnosis.replicates)
     if not diagnosis.is_p_limit:
         return p
@@ -130,8 +130,8 @@ def chance_text(diagnosis: Diagnosis) -> str:
 
 
 def closed_text(closed: float | None, interval: Interval | None) -> str:
-    """Format a closed share and its 95 % interval: "86 % (75 to 94)"; without the interval if that rounds to 100 %. A
-    change that makes the gap larger closes "below 0".
+    """Format a closed share and its 95 % interval: "86 % (75 to 94)". The interval is left out if both ends round to
+    100 %. A change that makes the gap larger closes "below 0 %".
     """
     if closed is None or not isfinite(closed):
         return NOTHING
@@ -143,7 +143,9 @@ def closed_text(closed: float | None, interval: Interval | None) -> str:
 
 
 def gap_text(gap: Gap) -> str:
-    """Format the gap of a diagnosis that has one: before, after, floor and closed share; or why no share is known."""
+    """Format the gap of a diagnosis: before, after, without a gap, and closed share; or the reason why no share is
+    known.
+    """
     before = _rms(gap.before)
     if gap.closed is None:
         return f"{before} standard deviations (rms); held-out data show too little of it to measure how much closes"
@@ -154,8 +156,8 @@ def gap_text(gap: Gap) -> str:
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
-    """Format parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"; and when it
-    acts: "in log 2 from 97.1 s on".
+    """Format the parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg". When the
+    effect acts follows: "in log 2 from 97.1 s on".
     """
     runs, spans, moments_s = (list(parameters.get(name, ())) for name in ("runs", "spans", "moments_s"))
     own = {name: value for name, value in parameters.items() if name not in _WHEN}
@@ -170,19 +172,19 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 
 
 def places_text(cause: Cause) -> str:
-    """Return sensors, and the axes if not all: "Gyro1, Gyro2 (x, z)"."""
+    """Return the sensors of a cause, and its axes unless it acts on all: "Gyro1, Gyro2 (x, z)"."""
     axes = f" ({', '.join(cause.axes)})" if cause.axes else ""
     return f"{names_text(cause.sensors) or 'all sensors'}{axes}"
 
 
 def names_text(sensors: Sequence[str]) -> str:
-    """Return names in short; those that differ by a number are listed beside each other: IMU1_acc to IMU8_acc."""
+    """Return names in short form; names that differ only by a number are next to each other: IMU1_acc to IMU8_acc."""
     return listed(sorted(sensors, key=lambda name: re.sub(r"\d+", "", name)))
 
 
 def effect_text(cause: Cause) -> str:
-    """Return the effect of a cause and what it changes in the simulator: "tone", "no white_noise (the simulator has
-    it)", "tone other than the simulator's".
+    """Return the effect of a cause and its change to the simulator: "tone", "no white_noise (the simulator has it)",
+    "tone other than the simulator's".
     """
     if cause.action == "remove":
         return f"no {cause.effect} (the simulator has it)"
@@ -200,7 +202,7 @@ def place_text(where: Where) -> str:
 
 
 class ReadableStatistic(NamedTuple):
-    """A statistic as a person reads it: what it is, and its recorded and simulated value with unit."""
+    """A statistic in readable form: its meaning, and its recorded and simulated value with unit."""
 
     about: str
     real: str
@@ -209,17 +211,17 @@ class ReadableStatistic(NamedTuple):
 
 def readable_statistic(where: Where) -> ReadableStatistic:
     """Return a statistic without the transformation that makes it nearly normal: shares in percent, correlations from
-    -1 to 1, ratios and noise as such.
+    -1 to 1, ratios and noise without logarithm.
     """
     about, unit = where.about, where.unit
     values = [where.real, where.simulated]
     if about.startswith("arcsine of the share"):
-        # arcsin of the root of a share
+        # the transformation is the arcsine of the square root of a share
         return _readable(about.removeprefix("arcsine of the "), [100 * sin(value) ** 2 for value in values], "%")
     for start, inverse in _INVERSES.items():
         if about.startswith(start):
             return _readable(about.removeprefix(start), list(map(inverse, values)), unit)
-    if about.startswith("correlation"):  # Fisher's z as well
+    if about.startswith("correlation"):  # correlations are stored as Fisher's z
         return _readable(about, list(map(tanh, values)), unit)
     if about.startswith("log ") or unit.startswith("log "):
         about = about.removeprefix("log of ").removeprefix("log ").removeprefix("the ")
@@ -240,7 +242,7 @@ _INVERSES = MappingProxyType(
 
 
 def difference_text(where: Where, logs: int = 1) -> str:
-    """Return in one line how far a statistic is off, and in which phase; and in which log if there are several."""
+    """Return in one line the deviation of a statistic and its phase, and also its log if the diagnosis has several."""
     about, real, simulated = readable_statistic(where)
     at = " of ".join(filter(None, (where.phase, where.log if logs > 1 else "")))
     return (
@@ -250,7 +252,9 @@ def difference_text(where: Where, logs: int = 1) -> str:
 
 
 def off_text(significance: float, unit: str = "sd") -> str:
-    """Return a score in words: "12 sd too high"; scores of a part of the data have a limit, beyond which it is open."""
+    """Return a score in words: "12 sd too high". Scores are limited to `LARGEST_SCORE`; a score at the limit is "more
+    than" it.
+    """
     size = f"more than {LARGEST_SCORE:.0f}" if abs(significance) >= LARGEST_SCORE else scored(abs(significance))
     return f"{size} {unit} too {'low' if significance < 0 else 'high'}"
 
@@ -266,7 +270,7 @@ def _size(where: Where) -> str:
 
 
 def specification_text(pull: Pull) -> str:
-    """Return a quantity of a part that is beyond its tolerance: "BMA2 z: scale factor error 4.2 %, 1.4 times its
+    """Return the text of a quantity of a part beyond its tolerance: "BMA2 z: scale factor error 4.2 %, 1.4 times its
     tolerance of 3 % (data sheet)".
     """
     place = f"{pull.sensor} {pull.axis}".rstrip()
@@ -277,19 +281,19 @@ def specification_text(pull: Pull) -> str:
 
 
 def pull_values(pull: Pull) -> tuple[str, str]:
-    """Return the value of a quantity and its tolerance with units; those without a unit are shares, in percent."""
+    """Return the value of a quantity and its tolerance with units; a quantity without a unit is a share, in percent."""
     factor, unit = (1.0, pull.unit) if pull.unit else (100.0, "%")
     return _in_unit(factor * pull.value, unit), _in_unit(factor * pull.tolerance, unit)
 
 
 def unexplained_pulls(pulls: Sequence[Pull]) -> list[Pull]:
-    """Return the pulls beyond tolerance that no cause may have made, the worst first."""
+    """Return the pulls beyond tolerance that no cause explains, the worst first."""
     outside = [pull for pull in pulls if pull.is_out_of_specification and not pull.explained_by]
     return sorted(outside, key=lambda pull: -abs(pull.pull))
 
 
 def explained_pulls_text(pulls: Sequence[Pull]) -> str:
-    """Return in one sentence the pulls beyond tolerance that a cause may have made; "" without any."""
+    """Return one sentence on the pulls beyond tolerance that a cause may explain; "" without any."""
     explained = [pull for pull in pulls if pull.is_out_of_specification and pull.explained_by]
     if not explained:
         return ""
@@ -302,8 +306,8 @@ def explained_pulls_text(pulls: Sequence[Pull]) -> str:
 
 
 def own_closure(cause: Cause, diagnosis: Diagnosis) -> tuple[float | None, Interval | None]:
-    """Return the share of the gap that a cause would close, with its interval. That of the only cause in the model is
-    given by the whole gap, with more simulations.
+    """Return the share of the gap that a cause would close, with its interval. For the only cause in the model, this is
+    the closure of the whole gap, which is estimated from more simulations.
     """
     is_only = cause.is_in_model and sum(other.is_in_model for other in diagnosis.causes) == 1
     if is_only and diagnosis.gap.closed is not None:
@@ -312,7 +316,9 @@ def own_closure(cause: Cause, diagnosis: Diagnosis) -> tuple[float | None, Inter
 
 
 def use_text(uses: Sequence[Use], causes: Sequence[Cause]) -> str:
-    """Return the figure of use of a sensor with a cause in the model whose prediction changes most; "" without any."""
+    """Return a figure of use of a sensor with a cause in the model: the one for which the simulation before the repair
+    differs most from the recording; "" without any.
+    """
     concerned = {name for cause in causes if cause.is_in_model for name in cause.sensors}
     known = [use for use in uses if use.sensor in concerned and use.before.value > 0 and use.real.value > 0]
     if not known:
@@ -323,7 +329,7 @@ def use_text(uses: Sequence[Use], causes: Sequence[Cause]) -> str:
 
 
 def listed_causes(causes: Collection[Cause]) -> tuple[Cause, ...]:
-    """Return the causes that are probable enough to be read."""
+    """Return the causes that are probable enough to be listed."""
     return tuple(cause for cause in causes if cause.probability >= LEAST_LISTED)
 
 
@@ -337,7 +343,7 @@ def _in_unit(value: float, unit: str) -> str:
 
 
 def _several_in_unit(values: Sequence[float], unit: str) -> list[str]:
-    """Format values in one unit, small accelerations in mg, with signs of degree and power."""
+    """Format values in one unit, small accelerations in mg, with the signs for degrees and powers."""
     if unit.split("/")[0].split(" ")[0] == "g" and unit != "g/g" and max(map(abs, values)) < _SMALL_G:
         factor, name = READABLE["g"]
         values, unit = [factor * value for value in values], name + unit[1:]
@@ -348,7 +354,7 @@ def _several_in_unit(values: Sequence[float], unit: str) -> list[str]:
 
 
 def _digits(values: Sequence[float]) -> int:
-    """Return three digits, or as many as show the difference of two values to two digits."""
+    """Return three digits, or the number that shows the difference of two values to two digits."""
     if len(values) != 2 or not all(map(isfinite, values)) or values[0] == values[1]:
         return _DIGITS
     largest, difference = max(map(abs, values)), abs(values[0] - values[1])
@@ -364,7 +370,7 @@ def _rms(score: float) -> str:
 
 
 def _rounded_up(p: float) -> str:
-    """Format with two digits, not smaller than it is."""
+    """Format a p-value with two digits, rounded up."""
     step = 10.0 ** (floor(log10(p)) - 1)
     return f"{ceil(p / step - 1e-9) * step:.2g}"
 
@@ -377,7 +383,9 @@ def _span_text(run: float, begin_s: float, end_s: float) -> str:
 
 
 def _moments_text(run: float, places: Sequence[int], moments_s: Sequence[float], parameters: Mapping[str, Any]) -> str:
-    """Return the moments at `places` of the lists, which are those of one run, and how long it lasts at each."""
+    """Return in words the moments at `places` of the lists, which are those of one run, and how long the effect lasts
+    at each.
+    """
     log = f"in log {run + 1:.0f}"
     if not moments_s:
         return log
@@ -390,7 +398,7 @@ def _moments_text(run: float, places: Sequence[int], moments_s: Sequence[float],
 
 
 def _moment(seconds: float) -> str:
-    """Format a moment of a log, however long, to a tenth of a second, so that it is found there."""
+    """Format a moment of a log, however long it is, to a tenth of a second, so that it can be located there."""
     return f"{seconds:.1f}".removesuffix(".0") if abs(seconds) >= 100 else number(seconds)
 
 
@@ -416,7 +424,7 @@ def _parameter(key: str, value: Any) -> str:
 
 
 def _numbers(value: Any) -> list[float] | None:
-    """One number or several; None for anything else."""
+    """Return one number or several as a list; None for anything else."""
     several = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     try:
         return None if any(isinstance(item, str) for item in several) else [float(item) for item in several]
@@ -425,24 +433,25 @@ def _numbers(value: Any) -> list[float] | None:
 
 
 WIDTH = 120
-"""Most columns."""
+"""Largest number of columns of the text."""
 
 _LEAST_WIDTH = 40
 _WORST, _WORST_AFTER = 6, 3
-"""Statistics that are shown of those that differ before and after the causes are added."""
+"""Numbers of statistics that are shown of those that differ before, and after, the causes are added."""
 
 _MOST_SENSORS = 4
-"""Most sensors of a cause of which the parameters are shown, where they differ."""
+"""Largest number of sensors of a cause for which different parameters are shown."""
 
 _MOST_NOTES = 12
-"""Most notes that are shown: each of many logs has its own."""
+"""Largest number of notes that are shown: each of many logs may have its own."""
 
 IN_FILES = "gap.json and report.html (-o DIR)"
 
 
 def text_of(diagnosis: Diagnosis, width: int = WIDTH) -> str:
-    """Format a diagnosis for a terminal of so many columns: the verdict; where it differs; the causes; how far they
-    close the gap; parts out of specification; notes; what could not be shown or compared; what to record next.
+    """Format a diagnosis for a terminal of `width` columns: the verdict; where the recordings differ; the causes; how
+    much of the gap they close; parts out of specification; notes; what could not be shown or compared; what to record
+    next.
     """
     width = min(max(width, _LEAST_WIDTH), WIDTH)
     parts = (_verdict, _where, _causes, _check, _pulls, _notes, _unshown, _too_short, _missing, _next)
@@ -451,7 +460,7 @@ def text_of(diagnosis: Diagnosis, width: int = WIDTH) -> str:
 
 
 Line = tuple[str, str]
-"""The beginning of a line, and its text: where it is broken, it goes on below the text."""
+"""The beginning of a line, and its text. If the text is wrapped, the next lines begin below it."""
 
 
 def _verdict(diagnosis: Diagnosis) -> Iterator[Line]:
@@ -476,7 +485,7 @@ def _where(diagnosis: Diagnosis) -> Iterator[Line]:
 
 
 def _distinct(where: Sequence[Where]) -> list[Where]:
-    """Return the worst statistic of each sensor and domain, since axes, phases and logs repeat each other."""
+    """Return the worst statistic of each sensor and domain, since axes, phases and logs repeat the same difference."""
     kinds: dict[tuple[str, str], Where] = {}
     for entry in where:
         kinds.setdefault((entry.sensor, entry.domain), entry)
@@ -517,7 +526,7 @@ def _cause(cause: Cause, diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _sizes(cause: Cause) -> Iterator[str]:
-    """Yield the parameters of a cause; those of each sensor if they differ."""
+    """Yield the parameters of a cause, sensor by sensor if they differ."""
     each = {name: parameters_text(parameters) for name, parameters in cause.each.items()}
     if len(set(each.values())) < 2:
         yield from filter(None, [parameters_text(cause.parameters)])
@@ -529,7 +538,7 @@ def _sizes(cause: Cause) -> Iterator[str]:
 
 
 def _closing(cause: Cause, diagnosis: Diagnosis) -> str:
-    """State how much a cause would close if it were present; "" if unknown."""
+    """Return how much a cause would close if it were present; "" if unknown."""
     closed, interval = own_closure(cause, diagnosis)
     if closed is None:
         return ""
@@ -562,7 +571,7 @@ def _check(diagnosis: Diagnosis) -> Iterator[Line]:
 
 
 def _pulls(diagnosis: Diagnosis) -> Iterator[Line]:
-    """Yield the parts that are out of specification, worst first."""
+    """Yield the parts that are out of specification, the worst first."""
     outside = unexplained_pulls(diagnosis.pulls)
     if outside:
         yield "", "Parts out of specification, worst first"
@@ -583,7 +592,7 @@ def _notes(diagnosis: Diagnosis) -> Iterator[Line]:
 
 
 def _by_log(notes: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return the notes, with one that several logs share only once."""
+    """Return the notes; a note that several logs share is returned once."""
     logs: dict[str, list[str]] = {}
     for note in notes:
         name, _, text = note.partition(": ")
@@ -596,7 +605,7 @@ def _logs(some: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _unshown(diagnosis: Diagnosis) -> Iterator[Line]:
-    """Yield the effects that the recordings cannot show, by the experiment that would show them."""
+    """Yield the effects that the recordings cannot show, grouped by the experiment that would show them."""
     shown_by: dict[tuple[str, str], list[str]] = {}
     for item in diagnosis.unshown:
         if not item.effect.startswith(DIFFERENCES):
@@ -612,7 +621,7 @@ def _unshown(diagnosis: Diagnosis) -> Iterator[Line]:
 
 
 def _too_short(diagnosis: Diagnosis) -> Iterator[Line]:
-    """Yield for how long to record to exclude differences that matter, by sensors."""
+    """Yield the lengths to record that exclude differences that matter, by sensors."""
     lengths: dict[str, list[str]] = {}
     for item in diagnosis.unshown:
         if item.effect.startswith(DIFFERENCES):
@@ -650,7 +659,7 @@ def _wrapped(lines: Iterator[Line], width: int) -> Iterator[str]:
 
 
 _TIE = "\x00"
-"""Stands for a space at which no line is broken."""
+"""Stands for a space at which a line is not broken."""
 
 _BOUND = re.compile(
     r"(?<=\d) (?=(?:%|sd|m?g|dps|s|Hz|°C|deg|mm|h|times|minutes?|seconds?|hours?)(?!\w))"

@@ -1,13 +1,13 @@
-"""The verdict and the probabilities of causes and of an unknown effect, by rules that keep them consistent; the
+"""The verdict, and the probabilities of causes and of an unknown effect, by rules that keep them consistent. Also the
 closure, and the diagnosis in one paragraph.
 
-A share among rivals states which effect the data prefer. It is too confident: simulated effects do not have exactly the
-form of real ones, and the true effect may not be in the library. It is therefore tempered by rates measured on cases
-from other generators, whose effects have forms of their own (`imuarray.validation.calibration`), after a first test: if
-no combination of known effects makes a recording likely, no known effect is probable.
+A share among rivals states which effect the data prefer. It is overconfident: simulated effects do not have exactly the
+form of real ones, and the true effect may not be in the library. The share is therefore tempered by rates measured on
+cases from other generators, in which effects have other forms (`imuarray.validation.calibration`). A test comes first:
+if no combination of known effects makes a recording likely, no known effect is probable.
 
 The closure is the share by which the causes reduce the excess of squared scores on held-out data. The statistics that
-count are those that deviate on the training part; their scores on the held-out part, before and after the causes are
+count are those that deviate on the training part. Their scores on the held-out part, before and after the causes are
 added to the model, give the closure. Domains have equal weights, whatever their number of statistics, and no score
 counts for more than `LARGEST`. Without a gap the mean square of scores is 1, which is subtracted.
 """
@@ -57,24 +57,24 @@ from imuarray.simulate.effects import meaning
 
 LARGEST = 100.0
 DEVIATES, BY_ITSELF = 3.5, 5.0
-"""Least score on the training part of a statistic that counts; on the held-out part, for statistics that the training
-part cannot show.
+"""Least score, on the training part, at which a statistic counts; and least score on the held-out part for statistics
+that the training part cannot show.
 """
 
 BEYOND_CHOICE = 8.0
-"""Least score on the held-out part of a statistic that counts whatever the training part shows: so far out, chance and
-the choice of the largest add little to it.
+"""Least score, on the held-out part, at which a statistic counts whatever the training part shows. For a score this
+large, the effects of chance and of selecting the largest score are small.
 """
 
 _DRAWS = 400
 _FAR = 10.0
 _LEAST_EXCESS = 1.0
-"""Least mean squared excess of which a closed share is given."""
+"""Least mean excess of squared scores for which a closed share is given."""
 
 
 class ClosureEstimate(NamedTuple):
-    """Root mean square scores before and after, and the closed share of the excess with its 95 % interval; None if
-    there is too little to close.
+    """Root mean square scores before and after, and the closed share of the excess with its 95 % interval; both are
+    None if the excess is too small.
     """
 
     before: float
@@ -85,8 +85,8 @@ class ClosureEstimate(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviatingStatistics:
-    """The statistics that count: keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,), on
-    held-out data, or on both parts for what one part alone shows.
+    """The statistics that count: keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,). The
+    scores are on held-out data, or on the part that shows them for events that only one part shows.
     """
 
     keys: tuple[Key, ...]
@@ -96,8 +96,8 @@ class DeviatingStatistics:
     after: Floats
 
     def closure(self, seed: int) -> ClosureEstimate:
-        """Return the closure over all statistics, with an interval by bootstrap of blocks (one sensor, phase and
-        domain); each draw adds the chance of the recording once more.
+        """Return the closure over all statistics. Its interval is a bootstrap over blocks (one sensor, phase and
+        domain) that adds the recording's chance to each draw once more.
         """
         if len(self.keys) == 0:
             return ClosureEstimate(1.0, 1.0, None, None)
@@ -109,7 +109,7 @@ class DeviatingStatistics:
         return ClosureEstimate(*roots, min(1.0, 1 - after / before), self._interval(seed))
 
     def of(self, chosen: Booleans) -> DeviatingStatistics:
-        """Return some of the statistics, with equal weights for domains."""
+        """Return the chosen statistics, with equal weights for domains."""
         keys = tuple(key for key, is_chosen in zip(self.keys, chosen, strict=True) if is_chosen)
         return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
 
@@ -141,12 +141,12 @@ class DeviatingStatistics:
 
 
 def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> DeviatingStatistics:
-    """Return the statistics that deviate on the training part, from scores (n,) of all statistics.
+    """Return the statistics that deviate on the training part, from the scores (n,) of all statistics.
 
     A statistic that the training part lacks, or that the fit makes zero there (`silent` (n,)), such as the level of
-    another run, is selected by its score on the held-out part, with a higher threshold. Any other statistic that
-    deviates on the held-out part alone needs a still higher one: the first half of a heating may hardly show the bend
-    that the second half shows.
+    another run, is selected by its score on the held-out part with a higher threshold. Any other statistic that
+    deviates on the held-out part alone needs a still higher score. For example, the first half of a heating may hardly
+    show the curvature that the second half shows.
     """
     train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
     alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
@@ -161,7 +161,7 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> 
 
 
 def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> DeviatingStatistics:
-    """Return the statistics that deviate in one part alone, for events that occur in one part only."""
+    """Return the statistics that deviate in either part, for events that occur in one part only."""
     chosen = [
         (key, at)
         for places in (pairs.train, pairs.held_out)
@@ -172,7 +172,7 @@ def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> Deviatin
 
 
 def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
-    """Return the gap overall, and by domain."""
+    """Return the gap, overall and by domain."""
     whole = counted.closure(seed)
     domains = {}
     for domain in counted.domains():
@@ -183,7 +183,7 @@ def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
 
 
 def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Floats) -> float:
-    """Return the root mean square score of the same statistics without a gap: the median of replicates."""
+    """Return the root mean square score that the same statistics have without a gap: the median of replicates."""
     if len(counted.places) == 0:
         return 1.0
     squares = np.nan_to_num(before.likelihood.scores(replicates)[:, counted.places]) ** 2
@@ -214,27 +214,27 @@ def _squares(scores: Floats) -> Floats:
 
 
 EXPLAINED, PARTLY = 0.9, 0.3
-"""Closed shares from which on a gap is explained, or partly explained. The true effect usually closes more than nine
-tenths: of causes of one mechanism that closed 0.8 to 0.9, in all runs so far, 6 were right and 11 wrong.
+"""Closed shares from which on a gap is explained, and partly explained. The true effect usually closes more than 0.9.
+In all runs so far, of causes of one mechanism that closed 0.8 to 0.9, 6 were right and 11 wrong.
 """
 
 DOUBT = 0.05
-"""p of the remainder below which it is significant."""
+"""p-value of the remainder below which it is significant."""
 
 _HALF, _STEEP = 0.65, 6.0
 """Closed share at which an unknown effect has even odds, and the steepness of the transition."""
 
 _MOST_REASONS = 2
-"""Most reasons of a verdict that are given, the weightiest first."""
+"""Largest number of reasons that are given for a verdict, the most important first."""
 
 _SURE = 1e-4
 """Shares are limited to this distance from 0 and 1."""
 
 
 class Rates(NamedTuple):
-    """The rates at which causes are right: `least` for causes without a rival that together close nothing of their
-    sensors' gap, `most` if they close all of it; in between the rate depends on the power `steep` of the closed share.
-    Odds against rivals count with the power `rivals`.
+    """The rates at which causes are right. `least` is the rate for causes without a rival that together close nothing
+    of their sensors' gap, `most` the rate if they close all of it. In between, the rate depends on the closed share
+    raised to the power `steep`. Odds against rivals are raised to the power `rivals`.
     """
 
     least: float
@@ -244,16 +244,16 @@ class Rates(NamedTuple):
 
 
 RATES = Rates(0.3, 0.87, 1.3, 0.6)
-"""Between the maximum likelihood on 93 causes of opened cases of worlds that others generated (0.28, 0.88, 1.5, 0.55;
-57 of them right) and on 61 causes of two later halves of such worlds (0.38, 0.83, 0.5, 1.0; 37 right). The former
-rates, which were not fitted to these 61, have a calibration error of 0.08 there (0.12 by chance) and a Brier score of
-0.18.
+"""Values between two maximum likelihood estimates. One is from 93 causes of opened cases of worlds that others
+generated (0.28, 0.88, 1.5, 0.55; 57 causes were right). The other is from 61 causes of two later halves of these worlds
+(0.38, 0.83, 0.5, 1.0; 37 were right). The former rates, which were not fitted to these 61, have a calibration error of
+0.08 there (0.12 by chance) and a Brier score of 0.18.
 """
 
 
 class Judgement(NamedTuple):
     """The result of `judge`: the verdict, the gap, the causes (most probable first), the probability that something
-    outside the library is present, and in words why the verdict is this one.
+    outside the library is present, and the reason for the verdict in words.
     """
 
     verdict: Verdict
@@ -274,28 +274,29 @@ def judge(
 ) -> Judgement:
     """Return the verdict, and the probabilities and the closure that agree with it.
 
-    `causes` have their calibrated probabilities, `unknown` is the estimate of `unknown_probability`. `unlikely` names
-    the sensors whose recordings no combination of known effects makes likely: what is left of them with all causes in
-    is far beyond chance, and matters. A cause is *sound* if it concerns none of these. `has_remainder`: something that
-    matters is left of any sensor, maybe no more than the form of a cause that is a little different. The first rule
-    that applies gives the verdict:
+    `causes` have their calibrated probabilities; `unknown` is the estimate of `unknown_probability`. `unlikely` names
+    the sensors with recordings that no combination of known effects makes likely: with all causes in the model, their
+    remainder is far beyond chance and matters. A cause is *sound* if it concerns none of these sensors. `has_remainder`
+    states whether a sensor has a remainder that matters, which a slightly different form of a cause may explain. The
+    first rule that applies gives the verdict:
 
     1. "no gap" if `is_gap` is false.
-    2. "unexplained" if there is no cause; if less than `PARTLY` of the gap is closed; if nothing of it can be measured
-       and no cause is as probable as `EVEN`; or if a sensor is unlikely and no sound cause is as probable as `EVEN`.
-    3. "explained" if at least `EXPLAINED` of the gap is closed, nothing is left, no sensor is unlikely, the most
+    2. "unexplained" if there is no cause; if less than `PARTLY` of the gap is closed; if the closed share cannot be
+       measured and no cause is as probable as `EVEN`; or if a sensor is unlikely and no sound cause is as probable as
+       `EVEN`.
+    3. "explained" if at least `EXPLAINED` of the gap is closed, there is no remainder, no sensor is unlikely, the most
        probable cause is at least as probable as `EVEN`, and something unknown is less probable.
-    4. "partly explained" else.
+    4. "partly explained" otherwise.
 
     The rest follows from the verdict:
 
     * Without a gap, `closed` and its interval are None, there are no causes, and unknown is 0.
-    * Unknown is below `EVEN` if the gap is explained, at most `EVEN` if it is explained in part, at least `EVEN` if it
-      is unexplained.
-    * No cause is more probable than 1 - unknown, and none that isn't sound more probable than `EVEN`. Where no effect
-      is accepted, unknown leaves room for the nearest one.
-    * An interval of `closed` is given only with `closed`. With a gap `closed` is None only where nothing of it can be
-      measured on held-out data; such a gap is never explained.
+    * Unknown is below `EVEN` if the gap is explained, at most `EVEN` if it is partly explained, and at least `EVEN` if
+      it is unexplained.
+    * No cause is more probable than 1 - unknown, and no cause that isn't sound is more probable than `EVEN`. If no
+      effect is accepted, unknown is at most 1 less the probability of the nearest effect.
+    * An interval of `closed` is given only with `closed`. With a gap, `closed` is None only if it cannot be measured on
+      held-out data; such a gap is never explained.
     """
     if not is_gap:
         no_closure = replace(gap, after=gap.before, closed=None, closed_ci95=None)
@@ -315,7 +316,7 @@ def judge(
 
 
 def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unlikely: Collection[str]) -> Verdict:
-    """Return the verdict on a gap, by the rules of `judge`."""
+    """Return the verdict on a gap, by the rules of `judge` except for the remainder."""
     most = max((cause.probability for cause in causes), default=0.0)
     most_sound = max((cause.probability for cause in causes if _is_sound(cause, unlikely)), default=0.0)
     closes = most >= EVEN if closed is None else closed >= PARTLY
@@ -328,7 +329,7 @@ def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unli
 def _reason(
     closed: float | None, causes: Sequence[Cause], unknown: float, unlikely: Collection[str], has_remainder: bool
 ) -> str:
-    """Return in words what keeps the gap from being explained, or that nothing does."""
+    """Return in words why the gap is not explained, or that it is."""
     if not any(cause.is_accepted for cause in causes):
         return "no known effect was accepted as a cause"
     reasons = []
@@ -351,13 +352,13 @@ def _reason(
 
 
 def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
-    """Return the greatest probability that a cause may have."""
+    """Return the largest probability that a cause may have."""
     return 1 - unknown if _is_sound(cause, unlikely) else min(1 - unknown, EVEN)
 
 
 def _is_sound(cause: Cause, unlikely: Collection[str]) -> bool:
-    """Return whether the recordings of all sensors concerned (no names: of all) are likely with the causes in the
-    model.
+    """Return whether, with the causes in the model, the recordings of all sensors of a cause (without names: of all
+    sensors) are likely.
     """
     return not set(unlikely) & set(cause.sensors) if cause.sensors else not unlikely
 
@@ -365,8 +366,8 @@ def _is_sound(cause: Cause, unlikely: Collection[str]) -> bool:
 def unknown_probability(closed: float | None, after: Assessment, one_sided: float = 0.0) -> float:
     """Return the probability that something outside the library is present.
 
-    It follows from the share of the gap that the causes leave open, and from how far the remainder exceeds chance in
-    one place or with one sign (`one_sided`, `imuarray.gap.inference.assessment`), in units of the largest chance value.
+    It increases with the share of the gap that the causes leave open, and with the ratio by which the remainder exceeds
+    the largest chance value in one place or with one sign (`one_sided`, `imuarray.gap.inference.assessment`).
     """
     share = closed if closed is not None else (1.0 if after.p > DOUBT else 0.0)
     largest = float(largest_of(after.normal))
@@ -375,8 +376,8 @@ def unknown_probability(closed: float | None, after: Assessment, one_sided: floa
 
 
 def calibrated_probability(share: float, all_closed: float | None, rates: Rates = RATES) -> float:
-    """Return the probability of a cause with such a `share` among its rivals, given the share of their sensors' gap
-    that all causes close (None: there was nothing to close), before the remainder is considered (`judge`).
+    """Return the probability of a cause with this `share` among its rivals and the share of their sensors' gap that all
+    causes close (None: nothing to close), before the remainder is considered (`judge`).
     """
     closed = min(max(all_closed or 0.0, 0.0), 1.0)
     right = rates.least + (rates.most - rates.least) * math.pow(closed, rates.steep)
@@ -384,7 +385,7 @@ def calibrated_probability(share: float, all_closed: float | None, rates: Rates 
 
 
 def _temper(share: float, power: float) -> float:
-    """Return a probability whose odds are raised to that power."""
+    """Return a probability with its odds raised to this power."""
     share = min(max(share, _SURE), 1 - _SURE)
     return 1 / (1 + math.exp(-power * math.log(share / (1 - share))))
 
@@ -402,7 +403,7 @@ def sentence_of(
     pulls: Sequence[Pull] = (),
     against: Sequence[str] = (),
 ) -> str:
-    """Return a paragraph that states what differs, why, how much of it is closed, and which parts are out of
+    """Return a paragraph that states what differs, why, how much of the gap is closed, and which parts are out of
     specification; `against` names the earlier recordings of a comparison.
     """
     causes = judgement.causes
@@ -435,7 +436,7 @@ def _named(cause: Cause) -> str:
 
 
 def _closure(judgement: Judgement, likely: Sequence[Cause]) -> list[str]:
-    """Return how much closes with all causes in the model, which may be more than those that are named."""
+    """Return how much of the gap all causes in the model close; these may be more than those that are named."""
     gap, in_model = judgement.gap, [cause for cause in judgement.causes if cause.is_in_model]
     if gap.closed is None or not in_model:
         return []
@@ -445,7 +446,7 @@ def _closure(judgement: Judgement, likely: Sequence[Cause]) -> list[str]:
 
 
 def _unexplained(where: Sequence[Where]) -> str:
-    """Describe something outside the library by the places in which it shows, each axis and domain once."""
+    """Return a sentence on something outside the library: the places that show it, each axis and domain once."""
     places: dict[tuple[str, str, str], Where] = {}
     for entry in where:  # worst first
         places.setdefault((entry.sensor, entry.axis, entry.domain), entry)
@@ -463,8 +464,8 @@ def _in(entry: Where) -> str:
 
 
 def _nearest(causes: Sequence[Cause], where: Sequence[Where]) -> list[str]:
-    """Return the most probable cause of a gap that none explains. One of other sensors than those that differ most is
-    not near it.
+    """Return a sentence on the most probable cause of an unexplained gap. It is called the nearest one only if it is in
+    a sensor that differs most.
     """
     if not causes:
         return []
@@ -474,7 +475,7 @@ def _nearest(causes: Sequence[Cause], where: Sequence[Where]) -> list[str]:
 
 
 def _out_of_specification(pulls: Sequence[Pull]) -> list[str]:
-    """Return the parts that are out of specification, and quantities that only seem so because of a cause."""
+    """Return sentences on the parts that are out of specification, and on quantities that a cause may explain."""
     outside = unexplained_pulls(pulls)
     texts = [f"{specification_text(pull)}: this part is out of specification." for pull in outside[:_MOST_PULLS]]
     more = len(outside) - _MOST_PULLS
