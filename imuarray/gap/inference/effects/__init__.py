@@ -1,4 +1,4 @@
-"""Every effect that may be the cause of a gap: how it is recognised, and what has to be recorded for it to show."""
+"""All effects that may be the cause of a gap: how each is recognised, and what to record so that it shows."""
 
 from __future__ import annotations
 
@@ -271,7 +271,8 @@ _TABLE = (
 )
 
 CANDIDATES: Mapping[str, Candidate] = MappingProxyType({candidate.effect: candidate for candidate in _TABLE})
-"""In the physical order of the effects. `own_clock` is none of them: every chip that is polled has a phase of its own,
-and the base model draws it, so that only what goes beyond is left. Of that an age that no period explains is a `skew`,
-one that changes a `jitter`, and a rate that repeats rows an `odr_error`, each of which says more of its cause.
+"""In the physical order of the effects. `own_clock` is not among them: every polled chip has a phase of its own, and
+the base model draws it, so only larger errors remain to be explained. An age that no sample period explains is a
+`skew`, an age that changes is a `jitter`, and a rate at which rows repeat is an `odr_error`. Each of these names the
+cause better than `own_clock` would.
 """

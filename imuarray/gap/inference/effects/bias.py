@@ -20,14 +20,14 @@ from imuarray.gap.statistics.runs import divide
 from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
 
 RUN_TO_RUN = ("run_spread", "run_scatter", "run_two_states", "run_shared_states", "run_outlier", "mean")
-"""Probes that move where boots differ."""
+"""Probes that change if boots differ."""
 
 _BEYOND_RUNS = 2.7
 _SMALL_SPREAD = 0.2
 
 
 def guess_turn_on_bias(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the spread of the logs' levels on the faces that they share; of two logs, what they differ by."""
+    """Suggest the spread of the logs' levels on the faces that they share; for two logs, their difference."""
     change = change_between_logs(evidence)
     if change.any():
         yield Hypothesis((TurnOnBias(triple(np.abs(change) / np.sqrt(2))),), whole=True)
@@ -45,14 +45,14 @@ def guess_turn_on_bias(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 _SEPARATION, _SHARED_SEPARATION = math.log(5), math.log(3)
-"""Log of the scatter of all levels over that within two groups from which on there are two: on a single axis, where a
-drift has log 4, and over three axes, of which chance rarely makes all change together.
+"""Thresholds of the log of the ratio of the scatter of all levels to the scatter within two groups: on a single axis,
+where a drift has log 4; and over three axes, which chance rarely changes together. There are two groups above it.
 """
 
 
 def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the two groups of logs that scatter least within themselves: how far apart their levels are, and how
-    often the rarer one occurs.
+    """Suggest the two groups of logs that scatter least within themselves: the distance between their levels, and the
+    frequency of the rarer group.
     """
     if not evidence.is_odd(*RUN_TO_RUN, beyond=_BEYOND_RUNS):
         return
@@ -66,7 +66,9 @@ def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def rarer(means: Floats, variances: Floats) -> Booleans | None:
-    """Return (l,) the smaller one of two groups of levels (l, 3); None for one group. `variances` (l, 3) of errors."""
+    """Return (l,) which levels (l, 3) are in the smaller of two groups; None for one group. `variances` (l, 3) are
+    those of the levels' errors.
+    """
     groups = [(*divide(means, variances, least=1), _SHARED_SEPARATION)]
     for axis in range(means.shape[1]):
         groups.append((*divide(means[:, [axis]], variances[:, [axis]], least=1), _SEPARATION))
@@ -78,37 +80,37 @@ def rarer(means: Floats, variances: Floats) -> Booleans | None:
 
 _TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
 _WITHIN = ("mean_halves", "wander", "mean_return", "noise_excess", "allan_longest", "band_1", "mean", "level")
-"""Probes that a step of the level within a log moves."""
+"""Probes that change if the level steps within a log."""
 
 _CLEAR = 8.0
-"""By so many nats two levels have to fit better than one."""
+"""Nats by which two levels must fit better than one."""
 
 _FEWEST = 3
-"""Of two logs nobody can say which one is odd: that is a turn-on bias."""
+"""Fewest logs that are divided by a step. A difference between two logs is suggested as a turn-on bias instead."""
 
 _SMALL = 0.1
 
 _FEWEST_SEGMENTS = 8
 _STRETCHES = 3
-"""More stretches of a log than this are a telegraph."""
+"""Most stretches of a log with another level. More of them are popcorn noise."""
 
 _STEADY = 1.5
-"""Levels that scatter within and beside stretches by so many times what they do from each to the next still drift: no
-step explains them.
+"""Largest scatter of the levels, without the step, as a multiple of their scatter from each segment to the next. Above
+it the levels drift, and a step does not explain them.
 """
 
 _SURE = 4.0
-"""Standard errors from which on an axis takes part in a step."""
+"""Standard errors from which on an axis is part of a step."""
 
 _WITH_HEAT = 6.0
-"""Nats by which a bias is rarer if it lasts as long as the box warms up or cools down. The usual reason is an element
-whose temperature lags behind that of the box.
+"""Nats by which a bias is rarer if it lasts as long as the box warms up or cools down. The usual cause then is an
+element whose temperature lags behind that of the box.
 """
 
 _WARMING_DEGC = 1.0
 _OTHER_RATE = 0.75
-"""The box warms up or cools down in such stretches if its temperature changes by at least this much in them, and the
-rate of the change differs from the rate outside of them by at least this share of the larger rate.
+"""The box warms up or cools down in the stretches if its temperature changes by at least `_WARMING_DEGC` (degC) in
+them, and the rate of change inside and outside differ by at least the share `_OTHER_RATE` of the larger rate.
 """
 
 _ODD = 3.0
@@ -116,8 +118,8 @@ _ODD = 3.0
 
 
 def guess_bias(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the step that divides the logs best, in the order in which they were recorded; stretches of a log with
-    another level; or the level of all logs, where the base model's is of an earlier recording.
+    """Suggest the steps of the level within a log; the level of all logs, if the base model's comes from an earlier
+    recording; and the step that best divides the logs in the order of their recording.
     """
     for step in level_steps(evidence):
         x, y, z = step.size.tolist()
@@ -142,9 +144,9 @@ def guess_bias(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class LevelStep(NamedTuple):
-    """A step of the levels by `size` (3,), in the sensor's unit, during stretches of a log (`when`). The last stretch
-    begins between the moments `begin_bounds_s` if no segment at rest shows its beginning, as in a motion; else None.
-    `is_with_heat`: the level returns, and the temperature rises or falls as long as the stretches last.
+    """A step of the levels by `size` (3,), in the sensor's unit, during stretches of a log (`when`). `begin_bounds_s`:
+    the moments between which the last stretch begins, if no segment at rest shows its beginning, as in a motion; else
+    None. `is_with_heat`: the level returns, and the temperature rises or falls as long as the stretches last.
     """
 
     size: Floats
@@ -155,7 +157,9 @@ class LevelStep(NamedTuple):
 
 @once
 def level_steps(evidence: Evidence) -> tuple[LevelStep, ...]:
-    """Return one to three stretches of a log with another level, whose levels are steady otherwise."""
+    """Return, for each log that has them, the stretches of another level (one to three), if the level is steady apart
+    from them.
+    """
     return tuple(_level_steps(evidence)) if evidence.is_odd(*_WITHIN) else ()
 
 
@@ -168,7 +172,7 @@ def _level_steps(evidence: Evidence) -> Iterator[LevelStep]:
         if len(order) < _FEWEST_SEGMENTS:
             continue
         for change in islice(changes(mean, np.median(error, axis=0)), 1):
-            inside = ~change.inside if change.inside[0] else change.inside  # what it is at first is the usual level
+            inside = ~change.inside if change.inside[0] else change.inside  # the first level is the usual one
             edges = np.flatnonzero(np.diff(inside.astype(np.int8))) + 1
             step = mean[inside].mean(axis=0) - mean[~inside].mean(axis=0)
             without_step = np.where(inside[:, None], mean - step, mean)
@@ -182,7 +186,7 @@ def _level_steps(evidence: Evidence) -> Iterator[LevelStep]:
 
 
 def is_with_heat(degc: Floats, time_s: Floats, inside: Booleans) -> bool:
-    """Return whether the temperature (n,) rises or falls in the segments `inside` and not in the others."""
+    """Return whether the temperature (n,) changes in the segments `inside`, at another rate than in the others."""
     rate = np.gradient(degc, time_s)
     known = np.isfinite(rate)
     if not known[inside].any() or not known[~inside].any():
@@ -202,8 +206,8 @@ def _begin_bounds_s(table: Levels, order: Indices, inside: Booleans) -> tuple[fl
 
 
 def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indices) -> When:
-    """Return the stretches between `edges`: each where the two segments beside it, of which one or the other is divided
-    by it, have taken as much of the step as they have.
+    """Return the stretches between `edges`. Each edge divides one of the two segments next to it; its moment follows
+    from the shares of the step in the means of both.
     """
     time_s, mean, width_s = table.time_s[order], table.mean[order], table.width_s[order]
     low, high = (np.median(mean[side], axis=0) for side in (~inside, inside))
@@ -218,7 +222,7 @@ def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indi
 
 
 def _changed_since(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a bias that has changed since the earlier recording."""
+    """Suggest a bias that has changed since an earlier recording."""
     shift = evidence.typical("mean")
     size = np.abs(evidence.score("mean", "level"))
     x, y, z = np.where((size > _ODD) & np.isfinite(shift), shift, 0.0).tolist()
@@ -227,7 +231,9 @@ def _changed_since(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _gain_of_step(means: Floats, errors: Floats, at: int) -> float:
-    """Nats by which a level of the first `at` logs and one of the rest explain means (l, 3) better than one of all."""
+    """Return the nats by which a level of the first `at` logs and a level of the rest explain the means (l, 3) better
+    than one level of all.
+    """
     whole = ((means - means.mean(axis=0)) ** 2 + errors).sum(axis=0)
     parts = sum(
         ((part - part.mean(axis=0)) ** 2 + error).sum(axis=0)

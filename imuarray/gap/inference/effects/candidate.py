@@ -15,43 +15,43 @@ from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effect import Effect
 
 Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
-"""What is done in a log; the menu of experiments."""
+"""Procedure that a log records; one entry of the menu of experiments."""
 
 Need = Literal["faces", "warmth", "runs", "turns", "rest", "warm_faces", "warm_turns"]
-"""What a recording has to have: several faces, a change of temperature, runs, turns, rest, or two of them at once."""
+"""What a recording must contain: several faces, a temperature change, runs, turns, rest, or two of them at once."""
 
 Action = Literal["add", "remove", "replace"]
 
 _CHOICES = frozenset({"range", "axes"})
-"""Parameters with a few values, none of which is near another one."""
+"""Parameters that have a few discrete values, so that one value does not approximate another one."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A change of a sensor's model that may explain what the sensor shows.
+    """A change of a sensor's model that may explain the sensor's readings.
 
     What changes:
 
-    * `effects` are added, with first guesses of their parameters; before that, effects of the kind `removed` are taken
-      out ("": none).
+    * `effects` are added, with first guesses of their parameters. Effects of the kind `removed` are removed first ("":
+      none).
     * `free`: the parameters that the search may refine, each axis by a positive factor; a guess of 0 and its sign stay.
     * `limits`: smallest and largest value of a parameter; beyond them another effect looks the same.
     * `fitted`: the ordinary parameters to begin with, if the effect misleads the fit (None: those of the fit).
-
+    * `fitted`: the ordinary parameters at the start, if the effect disturbs the fit (None: the fitted ones).
     In which sensors:
 
     * `shared`: the effect shows only in comparison with other sensors. All sensors of the chip have it, or only
       `sensor`, or only the `members` of the chip. `others` are sensors that show it although they do not have it; they
       get the effects `opposite` and begin with `opposite_fitted`.
-    * `everywhere`: it concerns all sensors that the host reads.
+    * `everywhere`: the effect concerns all sensors that the host reads.
 
     When:
 
     * `when`: the spans in which the effect acts (default: always); see `at`.
-    * `whole`: neither part of the recordings shows the effect without the other part.
-    * `begin_bounds_s`: earliest and latest time at which the last span begins, if it is shorter than its log.
+    * `whole`: the effect shows only in both parts of the recordings together, not in either part alone.
+    * `begin_bounds_s`: earliest and latest time at which the last span begins, if it does not cover its whole log.
 
-    `rarity`: by how many nats the effect is rarer than others that look the same (negative: more usual).
+    `rarity`: nats by which the effect is rarer than others that look the same (negative: more usual).
     """
 
     effects: tuple[Effect, ...]
@@ -72,7 +72,7 @@ class Hypothesis:
     begin_bounds_s: tuple[float, float] | None = None
 
     def at(self, when: When) -> Hypothesis:
-        """Return the hypothesis within these spans alone: every number that was chosen for them makes it rarer."""
+        """Return the hypothesis restricted to these spans. Each number that was chosen for them makes it rarer."""
         if not when.spans:
             return self
         spans = spans_of(when.triples)
@@ -83,8 +83,8 @@ class Hypothesis:
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     def narrowed(self, moments_s: Sequence[float], at: int) -> Hypothesis:
-        """Return the hypothesis with its last span that is not a whole log beginning at moment number `at` of these,
-        which ascend, and within its neighbours.
+        """Return the hypothesis whose last span that is not a whole log begins at `moments_s[at]`, with the moments
+        before and after it as the bounds of the beginning. `moments_s` ascend.
         """
         spans, begin_s = list(self.when.spans), moments_s[at]
         last = max(place for place, span in enumerate(spans) if not span.is_whole)
@@ -95,24 +95,24 @@ class Hypothesis:
 
     @property
     def name(self) -> str:
-        """The effect that it is about."""
+        """The name of the effect that the hypothesis adds or removes."""
         return self.effects[0].name if self.effects else self.removed
 
     @property
     def is_brief(self) -> bool:
-        """True if it begins at some time within a log, or lies between two logs."""
+        """True if an effect begins within a log or lies between two logs."""
         onsets = [getattr(effect, "onset_s", 0.0) for effect in self.effects]
         return any(isfinite(onset) and onset > 0 for onset in onsets)
 
     @property
     def needs_both(self) -> bool:
-        """True if both parts are needed to see it: neither shows it without the other (`whole`), or it is brief."""
+        """True if the effect shows only in both parts together: it is `whole`, or it is brief."""
         return self.whole or self.is_brief
 
     @property
     def form(self) -> tuple[str, ...]:
-        """The action, the effects and their active parameters: a line that drifts and a line that stays are different
-        forms, and so are two different ranges. The time of the effect is not part of the form.
+        """The action, the effects and their active parameters. A line that drifts and a line that stays have different
+        forms, and so do two different ranges. The time of the effect is not part of the form.
         """
         parameters = [
             f"{effect.name}.{item.name}" + (f"={getattr(effect, item.name)}" if item.name in _CHOICES else "")
@@ -134,16 +134,18 @@ class Hypothesis:
 class Candidate:
     """An effect of `imuarray.simulate.effects`, and how it is recognised.
 
-    `suggestions` are hypotheses that add it, by what one sensor shows, at most a handful. `shown_by`: what has to be
-    recorded for the effect to show, by kind of experiment; kinds that are missing can't show it. `about`: by what it is
-    recognised. Only sensors of this `quantity`, and of this `chip`, can have it ("": all).
+    `suggestions` yields hypotheses that add the effect, from the evidence of one sensor; at most a handful.
+    `shown_by`: what to record so that the effect shows, by kind of experiment; the effect cannot show in the other
+    kinds. `about`: how the effect is recognised. Only sensors of this `quantity` and of this `chip` can have it ("":
+    all).
 
-    `needs`: alternatives, the usual one first. Without any of them the effect is not observable, whatever else was
-    recorded: in one attitude it looks like a bias (a clipped axis like a quiet one with a bias), and so does an effect
-    that does not change with temperature or from run to run.
+    `needs`: alternatives, the usual one first. If a recording contains none of them, the effect is not observable: in
+    one attitude it looks like a bias (a clipped axis looks like a quiet axis with a bias), and so does an effect that
+    does not change with temperature or from run to run.
 
-    `existing` says what becomes of one of its kind that the model has already: it is replaced, since two of a kind
-    can't be told apart, or joined as well, since a sensor may have several; or suggestions themselves see to it.
+    `existing` determines how an effect of the same kind that the model already has is treated: it is replaced, because
+    two effects of one kind cannot be distinguished; or it is joined or replaced, because a sensor may have several; or
+    it is ignored, because `suggestions` takes care of it.
     """
 
     effect: str
@@ -160,8 +162,8 @@ class Candidate:
         return self.quantity in ("", header.quantity) and self.chip in ("", header.chip)
 
     def guesses(self, evidence: Evidence) -> Iterator[Hypothesis]:
-        """Yield the hypotheses to try: without the effect, if the model has one that is neither ordinary nor fitted,
-        and those that add one.
+        """Yield the hypotheses to try: the removal of the effect, if the model has one that is neither ordinary nor
+        fitted, and the hypotheses that add one.
         """
         suggestions = self.suggestions(evidence) if self.can_concern(evidence.header) else ()
         if self.existing == "ignored":
@@ -171,15 +173,15 @@ class Candidate:
 
 
 ORDINARY = frozenset({"white_noise", "bias", "misalignment", "own_clock"}) | PRINTED
-"""What every sensor has: fitted, or drawn from a population."""
+"""Effects that every sensor has: fitted, or drawn from a population."""
 
 
 def with_removal(
     evidence: Evidence, name: str, guesses: Iterable[Hypothesis], *, several: bool = False
 ) -> Iterator[Hypothesis]:
-    """Suggest the trial without effects of this kind, and the `guesses` that add one. Where the model has one already
-    each of these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it
-    is both added and put in its place. What holds for a while is added to what the model always has.
+    """Yield the removal of the effects of this kind, and the `guesses` that add one. If the model already has one, each
+    guess replaces it, because two of a kind cannot be distinguished; if a sensor may have `several`, the guess is also
+    added. Within spans, a guess is always added to the effects that last all the time.
     """
     if _has(evidence, name) and name not in {effect.name for effect in evidence.fitted.effects()}:
         yield Hypothesis((), removed=name)

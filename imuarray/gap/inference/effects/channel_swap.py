@@ -1,4 +1,4 @@
-"""`channel_swap`: readings that are another sensor's, by noise, axes or levels; or two in each other's place."""
+"""`channel_swap`: readings that belong to another sensor, by noise, axes or levels; or two sensors exchanged."""
 
 from __future__ import annotations
 
@@ -24,33 +24,39 @@ _NOISE = ("fast_own_axes", "fast_box_axes", "fast_other_chips", "slow_own_axes",
 _AXES = (("force_own", "motion_gain"), ("force_next", "motion_next"), ("force_after", "motion_after"))
 _BEYOND = 3.0
 _SAME = 0.9
-"""Correlation of window means at rest beyond which two sensors' noise is one."""
+"""Correlation of window means at rest above which two sensors have the same noise."""
 
 _NEAR = 0.25
-"""A response is that of another sensor's axes if none of its entries is farther off; a level is another sensor's if it
-is off by no more of the difference between both.
+"""A response is that of another sensor's axes if each entry deviates by less than this. A level is another sensor's if
+it deviates by less than this share of the difference between both levels.
 """
 
 _TURNED_G = 0.5
-"""Deviation of a level of an accelerometer from which its axes are others, where too few attitudes show which."""
+"""Deviation of an accelerometer's level, in g, from which on axes are exchanged, if too few attitudes determine the
+response.
+"""
 
 _APART = 8.0
-"""Standard deviations of a segment's mean by which the levels of two sensors have to differ to tell which is read."""
+"""Least difference of the levels of two sensors that shows which one is read, in standard deviations of a segment's
+mean.
+"""
 
 _FAR = 0.5
-"""Share of the largest distance between the levels of two sensors from which a segment tells which is read."""
+"""Least difference of the levels of two sensors that shows in one segment which one is read, as a share of the largest
+difference.
+"""
 
 _LEAST_SEGMENTS, _CLEAR = 3, 15.0
-"""Segments at rest before and after an exchange, and nats by which it makes deviations more constant."""
+"""Fewest segments at rest before and after an exchange, and nats by which it must make the deviations more constant."""
 
 _LEAST_ROWS = 4
 _LEVELS = ("mean_halves", "mean_return", "wander", "mean", "level", *RUN_TO_RUN)
-"""Statistics that change where a sensor's level is another's for a part of the time."""
+"""Statistics that change if a sensor has another sensor's level for a part of the time."""
 
 
 def guess_channel_swap(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest each sensor whose noise is this one's, each along whose axes this one seems to lie, and each of the chip
-    whose levels this one has for a part of the time.
+    """Suggest each sensor that has the same noise, each sensor whose axes agree with the response of this one, and each
+    sensor of the chip whose levels this one has for a part of the time.
     """
     twins = _twins(evidence) if evidence.is_odd(*_NOISE, beyond=_BEYOND) else set()
     odd = evidence.is_odd("motion_along", *(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
@@ -69,14 +75,15 @@ def guess_channel_swap(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _crossed(sensor: str, other: str) -> Hypothesis:
-    """Their plugs were crossed: each is set up and read in the other's place."""
+    """Return the hypothesis of crossed plugs: each of the two sensors is set up and read in the other's place."""
     swap, opposite_swap = ChannelSwap(other, "place"), ChannelSwap(sensor, "place")
     return Hypothesis((swap,), shared=True, sensor=sensor, others=(other,), opposite=(opposite_swap,))
 
 
 class _Course(NamedTuple):
-    """The segments at rest of a sensor, in order of time: number of the log, time in s, and mean (s, 3) in counts as
-    recorded and less what the model predicts; `noise` (3,) of a mean. `face` (s,) numbers the attitudes.
+    """The segments at rest of a sensor, in order of time: `log` is the number of the log, `time_s` in s; `mean` (s, 3)
+    in counts as recorded, and `deviation` (s, 3) in counts from what the model predicts; `noise` (3,) of a mean in
+    counts. `face` (s,) numbers the attitudes.
     """
 
     log: Integers
@@ -88,10 +95,10 @@ class _Course(NamedTuple):
 
 
 def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
-    """Suggest the other sensor's data for a part of the time; with this sensor's data in its place if its levels are
-    so.
+    """Suggest the other sensor's data for a part of the time, and this sensor's data in the other's place if the
+    other's levels agree.
 
-    The usual levels are the medians: the part has to be the smaller one.
+    The usual levels are the medians, so the part must be shorter than the rest.
     """
     faces: dict[str, int] = {}
     course, other_course = _course(evidence.still, faces), _course(phases, faces)
@@ -122,9 +129,9 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
 def _readings(
     evidence: Evidence, other: str, when: When, fitted: FittedParameters, opposite: FittedParameters | None
 ) -> Iterator[Hypothesis]:
-    """Suggest the hypotheses that the other sensor's data stand in this sensor's place then, and, if the parameters of
-    the `opposite` one are given, this sensor's data in the other's. Where rows are flagged as no new reading, these
-    flags may have gone with the counts, or not.
+    """Suggest that the other sensor's data replace this sensor's during `when`; if `opposite` parameters of the other
+    are given, this sensor's data replace the other's too. If rows are flagged as no new reading, the flags may belong
+    to the exchanged data or not.
     """
     name, rows_are_flagged = evidence.header.name, bool((evidence.values.get("stale", np.zeros(1)) > 0).any())
     for kind in ("data", "counts") if rows_are_flagged else ("data",):
@@ -142,12 +149,12 @@ def _readings(
 
 
 def _exchanges(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
-    """Suggest that both are in each other's place for a part of the time.
+    """Suggest that the data of both sensors are exchanged for a part of the time.
 
-    Each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it. Where
-    both feel different things, as accelerometers do that are mounted differently, each segment tells by itself whose
-    readings it has. Otherwise it is from a moment on, to the end of its log or of all logs: the moment is the one that
-    makes the deviations most constant.
+    The readings of each sensor deviate by one offset from what the model predicts for it, in whichever column they are
+    recorded. If the two measure different things, as accelerometers do that are mounted differently, each segment
+    shows whose readings it has. Otherwise the exchange lasts from a moment to the end of its log or of all logs: the
+    moment that makes the deviations most constant.
     """
     if not phases or phases[0].raw.header.sensitivity != evidence.header.sensitivity:
         return
@@ -163,7 +170,7 @@ def _exchanges(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) 
             return
     floor = np.square(np.concatenate([pair.course.noise, pair.other_course.noise]))
     log = pair.course.log
-    last = np.searchsorted(log, log, side="right")  # of each segment's log
+    last = np.searchsorted(log, log, side="right")  # end of each segment's log
     for ends in (last, np.full(len(last), len(last))):
         gains = _gains_of_exchange(pair.own_deviation, pair.exchanged_deviation, ends, floor)
         begin = int(gains.argmax())
@@ -182,24 +189,24 @@ class _Pair(NamedTuple):
 
     @property
     def way(self) -> Floats:
-        """(s, 3) from what the model predicts of the sensor to what it predicts of the other, in counts."""
+        """(s, 3) from the model's prediction for the sensor to its prediction for the other, in counts."""
         course, other_course = self.course, self.other_course
         return np.asarray(other_course.mean - other_course.deviation - course.mean + course.deviation)
 
     @property
     def own_deviation(self) -> Floats:
-        """(s, 6) deviations of both from what the model predicts, as they are recorded."""
+        """(s, 6) deviations of both sensors from the model's prediction, as recorded."""
         return np.concatenate([self.course.deviation, self.other_course.deviation], axis=1)
 
     @property
     def exchanged_deviation(self) -> Floats:
-        """(s, 6) the same if each sensor's rows stand in the other's column."""
+        """(s, 6) the same deviations if the rows of both sensors are exchanged."""
         return np.concatenate([self.other_course.deviation + self.way, self.course.deviation - self.way], axis=1)
 
     def exchanged_segments(self, offset: Floats, other_offset: Floats) -> Booleans | None:
-        """Return (s,) the segments in which both sensors read what the other one feels, whatever their fitted offsets
-        in counts, which an exchange spoils; segments in which both feel the same have the state of the nearest one of
-        their log. None if no segment or all have.
+        """Return (s,) the segments in which each sensor has the other's readings. The fitted offsets, in counts, are
+        added to the deviations again, since an exchange falsifies the fit. A segment in which both sensors measure the
+        same gets the state of the nearest clear segment of its log. None if no clear segment is exchanged, or all are.
         """
         way, time_s, log = self.way - other_offset + offset, self.course.time_s, self.course.log
         shares = np.stack(
@@ -227,7 +234,7 @@ def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> 
     way = pair.way + offsets[3:] - offsets[:3]
     error, length = np.linalg.norm((deviation - offsets)[:, :3], axis=1), np.linalg.norm(way, axis=1)
     is_far = (error > _NEAR * length) & (length > _FAR * length.max())
-    if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # a moment lies within a segment
+    if np.count_nonzero(is_far) >= _LEAST_SEGMENTS:  # fewer: segments that contain the moment of the exchange
         return []
     scale = evidence.header.sensitivity
     exchanges = _readings(
@@ -242,8 +249,8 @@ def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> 
 
 
 def _gap_before(course: _Course, inside: Booleans) -> tuple[float, float] | None:
-    """Return the gap between segments at rest, in seconds of the log, in which the last stretch of those inside begins;
-    None if it begins with its log, or the segments touch.
+    """Return the gap between segments at rest, in seconds of the log, in which the last stretch of the segments
+    `inside` begins; None if it begins with its log, or if the segments touch.
     """
     begins = np.flatnonzero(inside[1:] & ~inside[:-1] & (course.log[1:] == course.log[:-1])) + 1
     if not len(begins):
@@ -255,7 +262,7 @@ def _gap_before(course: _Course, inside: Booleans) -> tuple[float, float] | None
 
 
 def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course]:
-    """Return the segments that both courses have at the same time."""
+    """Return the segments that both courses contain at the same time."""
     pairs = [np.zeros((2, 0), np.int64)]
     for log in np.unique(course.log).tolist():
         rows_of_log, other_rows_of_log = np.flatnonzero(course.log == log), np.flatnonzero(other_course.log == log)
@@ -270,7 +277,7 @@ def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course
 
 
 def _chosen(course: _Course, rows: Integers) -> _Course:
-    """Return these segments of a course."""
+    """Return the segments `rows` of a course."""
     log, time_s, face, mean, deviation, noise = course
     return _Course(log[rows], time_s[rows], face[rows], mean[rows], deviation[rows], noise)
 
@@ -279,8 +286,9 @@ _TINY = float(np.finfo(float).tiny)
 
 
 def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Floats) -> Floats:
-    """Return (s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are
-    `exchanged` instead of `own`; their variances are at least `floor` (6,), which is 0 for an axis that never changes.
+    """Return (s,) the nats by which the deviations (s, 6) are more constant if those from each segment to `ends` (s,)
+    are `exchanged` instead of `own`. Their variances are at least `floor` (6,), which is 0 for an axis that never
+    changes.
     """
     floor = np.maximum(floor, _TINY)
     count, begins = len(own), np.arange(len(own))
@@ -299,13 +307,13 @@ def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Fl
 
 
 def _with_offset(fitted: FittedParameters, more: Floats) -> FittedParameters:
-    """Return the parameters with an offset that is larger by `more` (3,), in the unit."""
+    """Return the parameters with an offset that is larger by `more` (3,), in the sensor's unit."""
     return replace(fitted, offset=triple(np.array(fitted.offset) + more))
 
 
 def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
-    """Return the course of a sensor over its phases at rest; `faces` numbers the attitudes, which a gyroscope does not
-    feel, and grows.
+    """Return the course of a sensor over its phases at rest. `faces` numbers the attitudes and is extended; a gyroscope
+    has a single one, since it does not measure the attitude.
     """
     parts = []
     for phase in phases:
@@ -327,7 +335,7 @@ def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
 
 
 def _usual_levels(course: _Course, faces: int) -> Floats:
-    """Return (f, 3) median over the segments of each attitude, nan where there is none."""
+    """Return (f, 3) the median over the segments of each attitude; nan for an attitude without segments."""
     levels = np.full((faces, 3), np.nan)
     for number in np.unique(course.face):
         levels[number] = np.median(course.mean[course.face == number], axis=0)
@@ -335,26 +343,28 @@ def _usual_levels(course: _Course, faces: int) -> Floats:
 
 
 def _share(course: _Course, usual: Floats, distance: Floats) -> Floats:
-    """Return (s,) share of the way from the usual level to the other sensor's that each segment has gone."""
+    """Return (s,) the position of each segment between the usual level (0) and the other sensor's level (1)."""
     return _part_of_way(course.mean - usual[course.face], distance[course.face])
 
 
 def _part_of_way(distance: Floats, way: Floats) -> Floats:
-    """Return (s,) part of each way (s, 3) that lies along the distance `distance` (s, 3); 0 for no way."""
+    """Return (s,) the component of `distance` (s, 3) along each `way` (s, 3), as a share of the way; 0 if it has no
+    length.
+    """
     along, square = (distance * way).sum(axis=1), (way**2).sum(axis=1)
     return np.asarray(np.divide(along, square, out=np.zeros(len(along)), where=square > 0))
 
 
 def _is_at(course: _Course, inside: Booleans, levels: Floats, distance: Floats) -> bool:
-    """Return whether the segments inside lie at these levels."""
+    """Return whether the segments inside have these levels."""
     off = np.median(course.mean[inside] - levels[course.face[inside]], axis=0)
     way = np.median(np.abs(distance[course.face[inside]]), axis=0)
     return bool(np.linalg.norm(off) < _NEAR * np.linalg.norm(way))
 
 
 def _when(course: _Course, inside: Booleans, share: Floats) -> When:
-    """Return the stretches of segments inside; a moment lies where both segments beside it have their share of the
-    step.
+    """Return the stretches of segments inside. The moment of a step follows from its shares in the means of the two
+    segments next to it.
     """
     spans: list[Span] = []
     for log in np.unique(course.log).tolist():
@@ -365,7 +375,7 @@ def _when(course: _Course, inside: Booleans, share: Floats) -> When:
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             begin_s = _moment_s(time_s, shares, begin, width_s, is_begin=True)
             end_s = _moment_s(time_s, shares, end, width_s, is_begin=False)
-            if end_s > begin_s:  # not so for a single segment with little of the step
+            if end_s > begin_s:  # false for a single segment that contains little of the step
                 spans.append(Span(log, begin_s, end_s - begin_s))
     return When(tuple(spans))
 
@@ -383,14 +393,14 @@ def _is_within(when: When, log: int, time_s: float) -> bool:
 
 
 def _refit(fitted: FittedParameters, course: _Course, inside: Booleans, header: SensorHeader) -> FittedParameters:
-    """Return the parameters with the offset of the segments that are not inside."""
+    """Return the parameters with the offset that the segments outside have."""
     if inside.all():
         return fitted
     return _with_offset(fitted, np.median(course.deviation[~inside], axis=0) / header.sensitivity)
 
 
 def _twins(evidence: Evidence) -> set[str]:
-    """Others with the same readings, counts for counts, whatever is said of their axes."""
+    """Return the other sensors with the same readings count for count, whatever their axes are configured to be."""
     name = evidence.header.name
     largest: dict[str, float] = {}
     for phase in evidence.still:
@@ -417,8 +427,8 @@ def _is_parallel(evidence: Evidence, other: SensorHeader) -> bool:
 
 
 def _is_turned(evidence: Evidence) -> bool:
-    """Return whether a level of an accelerometer at rest is one that only other axes explain, and no response shows
-    these.
+    """Return whether an accelerometer's level at rest deviates so far that only other axes explain it, and no response
+    shows which axes.
     """
     if evidence.header.quantity != "specific_force" or next(_shown(evidence), None) is not None:
         return False
@@ -426,7 +436,7 @@ def _is_turned(evidence: Evidence) -> bool:
 
 
 def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> bool:
-    """Return whether the response is that of the other sensor's axes, times `scale`, rather than of its own."""
+    """Return whether the response is that of the other sensor's axes, times `scale`, rather than of its own axes."""
     expected = _axes_in(evidence, other) * scale
     if np.allclose(expected, np.eye(3)):
         return False
@@ -434,8 +444,8 @@ def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> 
 
 
 def _shown(evidence: Evidence) -> Iterator[Floats]:
-    """Yield (3, 3) response of the axes (rows) to force or motion along the nominal ones, by the medians of phases and
-    by all motions together; residual probes lack the ideal.
+    """Yield (3, 3) responses of the axes (rows) to force or motion along the nominal axes: by the medians over phases,
+    and by all motions together. The probes of force are residuals, so the ideal response is added to them.
     """
     rows = np.arange(3)
     for kind, ideal in ((0, np.eye(3)), (1, np.zeros((3, 3)))):
