@@ -1,8 +1,8 @@
 """Effects on codes: steps, missing codes and ends.
 
-A fit takes means and variances as they are. Where readings leap over a stretch of codes that never come, a few of them
-in a hundred are a stretch away from where they belong: the variance is that of the leaps, and a bias that warms up
-towards the stretch seems to have another slope. `behind` fits bias, slope and noise before such a converter.
+A fit uses means and variances as they are. If readings leap over a stretch of codes that never occur, a few percent of
+them are displaced by a stretch. The variance is then that of the leaps, and a bias that approaches the stretch as the
+sensor warms up seems to have another slope. `behind` fits bias, slope and noise before such a converter.
 """
 
 from __future__ import annotations
@@ -27,33 +27,34 @@ from imuarray.simulate.converters import CodeSpan, code_span
 from imuarray.simulate.effects.conversion import Quantisation, Saturation
 
 Coded = Callable[[Integers], Integers]
-"""What comes of whole counts (n,)."""
+"""The codes (n,) that a converter makes of whole counts (n,)."""
 
 UNITS_DIFFER = 0.015
-"""Of what is felt: a scale, and an angle, of a chip's population; a face's level lies so far from the nominal one."""
-
+"""Share of the force by which a unit's level on a face may differ from the nominal level: the standard deviation of
+scale errors and misalignments, in rad, of a chip's population.
+"""
 _BIN_DEGC = 0.5
 _FINE = 4
-"""Places to a count at which moments are worked out."""
+"""Points per count at which moments are computed."""
 
 _REACH = 5
-"""Standard deviations of noise."""
+"""Extent of the noise distribution that moments include, in standard deviations."""
 
 _LEAST_LSB = 0.2
 _SHARES = np.geomspace(0.35, 1.4, 9)
-"""Noises that are tried, over the fitted one, which the leaps are in."""
+"""Noises that are tried, as multiples of the fitted noise, which includes the leaps."""
 
 _OFFSETS, _SLOPES = 96, 41
 _STRETCHES = 1.25
-"""Offsets are looked for so many stretches to either side of the fitted one."""
+"""Largest distance of the tried offsets from the fitted one, in stretches."""
 
 _FORM_MEAN, _FORM_VARIANCE = 0.03, 0.1
-"""By how much of the noise a mean, and of itself a variance, may be another one."""
+"""Model errors that are allowed: of a mean, as a share of the noise; of a variance, as a share of itself."""
 
 
 class _Bins(NamedTuple):
-    """Parts of phases at one temperature, of one axis, in counts: `face` numbers what was up; (b,) rows, what is felt,
-    temperature less that of reference, mean, variance.
+    """Parts of phases at one temperature, of one axis, in counts. `face` numbers the face that was up; (b,) rows,
+    expected reading without bias, temperature less the reference temperature, mean, variance.
     """
 
     face: Integers
@@ -65,7 +66,7 @@ class _Bins(NamedTuple):
 
 
 class _Moments(NamedTuple):
-    """At each of the places in one period of the codes: shift of the mean, variance, variance of the variance."""
+    """At each point in one period of the codes: shift of the mean, variance, variance of the variance."""
 
     shift: Floats
     variance: Floats
@@ -73,8 +74,8 @@ class _Moments(NamedTuple):
 
 
 def behind(evidence: Evidence, coded: Coded, period: int, stretch: int) -> FittedParameters | None:
-    """Return parameters with which `coded`, that does with all codes what it does with those of one `period`, and moves
-    none by more than a `stretch`, makes the means and variances that the phases at rest have; None without such phases.
+    """Return the parameters with which `coded` makes the means and variances of the phases at rest; None without such
+    phases. `coded` has the given `period` in counts and moves no code by more than a `stretch`.
     """
     scale, parameters = evidence.header.sensitivity, []
     for axis in range(3):
@@ -102,7 +103,7 @@ def _bins(evidence: Evidence, axis: int) -> _Bins | None:
 
 
 def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iterator[tuple[float, ...]]:
-    """Yield sums of each temperature as `_Bins` has them, except the face."""
+    """Yield the entries of `_Bins` for each temperature, except the face."""
     raw, residual = phase.raw.segments, phase.residual.segments
     is_usable = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
     warm = raw.temperature_degc - REFERENCE_DEGC
@@ -118,7 +119,7 @@ def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iter
 
 
 def _behind(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int) -> Floats:
-    """Return (3,) offset, slope, noise in counts, from those of the fit."""
+    """Return (3,) offset, slope and noise in counts, starting from the fitted ones."""
     offset, slope, noise = start
     units = UNITS_DIFFER * float(np.abs(bins.felt).max()) if np.ptp(bins.felt) > 1 else 0.0
     offsets = offset + np.linspace(-_STRETCHES, _STRETCHES, 2 * _OFFSETS + 1) * stretch
@@ -169,8 +170,8 @@ def _quieter(bins: _Bins, start: Floats, coded: Coded, period: int, units: float
 def _over_faces(
     bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Moments, period: int, units: float
 ) -> Floats:
-    """Return (o,) cost of each offset; the level on each face is off by as much as a unit's may be, whichever suits
-    best.
+    """Return (o,) the cost of each offset. The level on each face may deviate as a unit's does, with the standard
+    deviation `units` in counts; the deviation with the least cost counts.
     """
     costs = _costs(bins, offsets, slope, sigma, table, period)
     if not units:
@@ -181,7 +182,7 @@ def _over_faces(
 
 
 def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Moments, period: int) -> Floats:
-    """Return (o, b) nats, but for a constant, that the mean and the variance of each bin cost."""
+    """Return (o, b) the cost of the mean and the variance of each bin in nats, up to a constant."""
     level = bins.felt + slope * bins.warm_degc + offsets[:, None]
     at = np.rint(level * (len(table.shift) / period)).astype(np.int64) % len(table.shift)
     variance = table.variance[at]
@@ -194,8 +195,8 @@ def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Mom
 
 
 def _moments(coded: Coded, period: int, sigma: float) -> _Moments:
-    """Moments of readings with that noise (standard deviation, in counts) about each place of a period."""
-    from scipy.signal import correlate  # its weight is for those who ask
+    """Return the moments of readings with this noise (standard deviation, in counts) at each point of a period."""
+    from scipy.signal import correlate  # imported only on use, because it is slow
 
     fine = _FINE if period <= 1024 / _FINE else 1
     reach = int(np.ceil(_REACH * sigma)) + 1
@@ -224,32 +225,32 @@ _TINY = 1e-3
 
 _STEP_PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
 _LEAPS = ("kurtosis", "extreme", "noise_excess", "force_square")
-"""Probes that move where readings leap from one stretch of codes to another."""
+"""Probes that change if readings leap from one stretch of codes to another."""
 
 _STEPS = tuple(2**bits for bits in range(1, 13))
 _ODD_ONES = 0.01
-"""Share of codes that are anything: glitches."""
+"""Share of the codes that is ignored because it may be due to glitches."""
 
 _HIGHEST_BIT = 12
 
 _FURTHEST_CARRY = 64
-"""Carries of coarser bits are looked for so many codes from a multiple at most: a histogram of more codes than a chip's
-noise spans has gaps by itself.
+"""Largest distance, in codes, from a multiple at which carries of coarser bits are searched. A histogram that spans
+more codes than a chip's noise has gaps by itself.
 """
 
 _LEAST_EXPECTED = 14.0
-"""Readings that missing codes would hold if they were as frequent as their neighbours. Chance leaves out so many at one
-of 64 places of 12 carries in one recording of a thousand: exp(-14) 64 12 < 0.001.
+"""Fewest readings that the missing codes would hold if they were as frequent as their neighbours. By chance, this many
+are missing at one of 64 places of 12 carries in less than one of a thousand recordings: exp(-14) 64 12 < 0.001.
 """
 
 _FEWEST_CODES = 3
-"""Fewer different codes have a common divisor by chance."""
+"""Fewest different codes whose common divisor counts: fewer have one by chance."""
 
 
 def guess_quantisation(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the greatest step of which (nearly) all codes are multiples, and the power of two in it, or those of each
-    axis where not all have one; bits that are never set, though codes leap over where they would be; codes before a
-    carry that never come.
+    """Suggest the greatest step of which (nearly) all codes are multiples, and the power of two in it; or one step per
+    axis if the axes do not share one. Otherwise suggest bits that are never set, although codes lie on both sides of
+    those with the bit set; and codes that are missing before each carry.
     """
     usual = code_span(evidence.header).step
     if not evidence.is_odd(*_STEP_PROBES, *_LEAPS):
@@ -273,7 +274,7 @@ def guess_quantisation(evidence: Evidence) -> Iterator[Hypothesis]:
         if _is_dead(bit, merged, codes):
             yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
     short = {carry: place for carry in _STEPS[1:] if (place := _before_a_carry(carry, merged, codes))[0]}
-    if short:  # of every 16 all but two are, of every four, two
+    if short:  # a chip without all but two of every 16 codes also lacks two of every four
         carry = max(short, key=lambda carry: short[carry][0] / carry)
         missing, at = map(float, short[carry])
         coarse = Quantisation(carry_lsb=float(carry), missing_lsb=missing, carry_at_lsb=at)
@@ -281,12 +282,14 @@ def guess_quantisation(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _with_power(divisor: int) -> tuple[int, int]:
-    """Return the divisor, and the greatest power of two in it; itself where there is none."""
+    """Return the divisor, and the greatest power of two in it; the divisor itself if it is odd."""
     return divisor, max((step for step in _STEPS if divisor and divisor % step == 0), default=divisor)
 
 
 def _with_what_hides(evidence: Evidence, coarse: Quantisation, period: int, stretch: int) -> Iterator[Hypothesis]:
-    """Suggest the step with the fitted parameters, and with those that the sensor has before its codes are rounded."""
+    """Suggest the step with the fitted parameters, and with the parameters of the sensor before its codes are
+    rounded.
+    """
     yield Hypothesis((coarse,))
     fitted = behind(evidence, coarse.coded, period, stretch)
     if fitted is not None:
@@ -294,7 +297,7 @@ def _with_what_hides(evidence: Evidence, coarse: Quantisation, period: int, stre
 
 
 def _divisor(merged: Histogram) -> int:
-    """Greatest common divisor of all codes but a hundredth of the readings; 0 without one."""
+    """Return the greatest common divisor of the codes, except for a hundredth of the readings; 0 without one."""
     least = (1 - _ODD_ONES) * merged.counts.sum()
     for step in np.flatnonzero(_are_divisors(merged, least))[::-1].tolist():
         on = merged.codes % step == 0
@@ -304,7 +307,7 @@ def _divisor(merged: Histogram) -> int:
 
 
 def _are_divisors(merged: Histogram, least: float) -> Booleans:
-    """Return which numbers up to the largest step have only prime factors that `least` readings are multiples of."""
+    """Return which numbers up to the largest step consist of prime factors that each divide `least` readings."""
     possible = np.arange(_STEPS[-1] + 1) > 1
     for prime in range(2, len(possible)):
         if possible[prime] and merged.counts[merged.codes % prime == 0].sum() < least:
@@ -313,8 +316,8 @@ def _are_divisors(merged: Histogram, least: float) -> Booleans:
 
 
 def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:
-    """Return whether a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase
-    leap over a stretch in which it would be set.
+    """Return whether a bit is clear in all but a hundredth of the readings, although the codes of an axis in a phase
+    lie on both sides of a stretch in which it would be set.
     """
     clear = merged.counts[merged.codes >> bit & 1 == 0].sum()
     return bool(clear >= (1 - _ODD_ONES) * merged.counts.sum()) and any(_leaps(bit, codes) for codes in each)
@@ -326,15 +329,16 @@ def _leaps(bit: int, codes: Histogram) -> bool:
 
 
 def _usual_span(codes: Histogram) -> tuple[int, int]:
-    """Return the lowest and the highest one, but for a hundredth of the readings at either end."""
+    """Return the lowest and the highest code, without a hundredth of the readings at either end."""
     upto = np.cumsum(codes.counts)
     low, high = codes.codes[np.searchsorted(upto, np.array([_ODD_ONES, 1 - _ODD_ONES]) * upto[-1])].tolist()
     return low, high
 
 
 def _before_a_carry(carry: int, merged: Histogram, each: Sequence[Histogram]) -> tuple[int, int]:
-    """Return how many codes before every carry never come, but that of the carry in their place, and how far from a
-    multiple of `carry` these are; (0, 0) if none are missing. Carries are at multiples, unless an offset moved them.
+    """Return how many codes are missing before every carry, except the code of the carry minus their number, and how
+    far they are from a multiple of `carry`; (0, 0) if none are missing. Carries are at multiples, unless an offset
+    moved them.
     """
     counts = np.bincount(merged.codes % carry, weights=merged.counts, minlength=carry)
     spans = np.array([_usual_span(codes) for codes in each])
@@ -345,10 +349,11 @@ def _before_a_carry(carry: int, merged: Histogram, each: Sequence[Histogram]) ->
 
 
 def _missing(carry: int, counts: Floats, spans: Integers) -> int:
-    """Return how many codes before every multiple of `carry` never come, of readings `counts` (carry,) by what is left
-    of their codes, though readings of an axis in a phase, from and to `spans` (p, 2), lie on either side; 0 if none.
+    """Return how many codes are missing before every multiple of `carry`; 0 if none. `counts` (carry,) are readings by
+    the remainder of their codes. Readings of an axis in a phase, with the lowest and highest codes `spans` (p, 2), must
+    lie on either side of a multiple.
     """
-    upto = np.cumsum(counts[::-1])  # of so many and one codes before the carry
+    upto = np.cumsum(counts[::-1])  # readings of the last one, two, ... codes before the carry
     few = upto <= _ODD_ONES * counts.sum() * np.arange(1, carry + 1) / carry
     missing = int(np.argmin(few)) if few[0] else 0
     there = counts[1 : carry - missing]
@@ -362,15 +367,15 @@ def _missing(carry: int, counts: Floats, spans: Integers) -> int:
 
 _END_PROBES = ("code_pile", "skewness", "kurtosis", "motion_residual", "motion_gain", "force_square", "force_own")
 _PILE = 3.0
-"""Standard deviations by which the last code outnumbers the one before."""
+"""Standard deviations by which the last code must be more frequent than the code before it."""
 
 _MOST_LIMITS = 2
 
 
 def guess_saturation(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the largest codes at which an axis piles up, as the limits of all axes; those of each axis that piles up
-    alone; and both ends of each axis, about a centre of its own, where an axis piles up at both, or at one and passes
-    the opposite of it at the other, which then is the converter's.
+    """Suggest the largest codes at which an axis piles up, as the limits of all axes; those of each axis that piles up,
+    alone; and both ends of each axis, about its own centre, if an axis piles up at both ends, or if it piles up at one
+    end and exceeds the opposite code at the other, which then is the end of the converter.
     """
     if not evidence.is_odd(*_END_PROBES):
         return
@@ -402,8 +407,8 @@ def _extremes(evidence: Evidence, axis: int) -> list[int]:
 
 
 def _both_ends(ends: Collection[int], codes: Collection[int], span: CodeSpan) -> tuple[int, ...]:
-    """Return the codes at which an axis ends: those with a pile, or one with a pile and the end of the converter's
-    span, if the axis passes the opposite of the pile; () if it may end at opposite codes.
+    """Return the codes at which an axis ends: those with a pile, or the code with a pile and the end of the converter's
+    span, if the axis exceeds the opposite of the pile; () if it may end at opposite codes.
     """
     if len(ends) == 1:
         (end,) = ends
@@ -414,7 +419,7 @@ def _both_ends(ends: Collection[int], codes: Collection[int], span: CodeSpan) ->
 
 
 def _piled(histogram: Histogram) -> Iterator[int]:
-    """Yield the ends with a pile; the root of a Poisson count scatters by 1/2."""
+    """Yield the ends with a pile. The square root of a Poisson count has a standard deviation of 1/2."""
     if len(histogram.codes) < 2:
         return
     for last, before in ((0, 1), (-1, -2)):
@@ -424,5 +429,5 @@ def _piled(histogram: Histogram) -> Iterator[int]:
 
 
 def _distinct_limits(limits: list[int]) -> list[int]:
-    """Descending codes without those that are the one before, rounded otherwise."""
+    """Return descending codes, without those that differ from the one before only by rounding."""
     return [code for at, code in enumerate(limits) if at == 0 or limits[at - 1] - code > 1]

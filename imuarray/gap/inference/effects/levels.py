@@ -1,4 +1,4 @@
-"""Segments at rest: where the readings of a sensor lie, less the levels of the base model, and steps of both."""
+"""Levels of the segments at rest: mean readings less the levels of the base model, and steps of level and noise."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LEAST_ROWS = 4
 
 @dataclass(frozen=True)
 class Levels:
-    """n segments that hold rows. `log` and `group` (n,): those of one group are of one log and face; `time_s`, `degc`
-    (n,); `mean` (n, 3) in the sensor's unit less what the base model predicts, and its `square_error` (n, 3) if
-    readings are independent; `felt_g` (n, 3) specific force along the nominal axes, nan where no face is named;
-    `thermometer` (n,) counts of the chip's own, nan if it has none; `width_s` (n,).
+    """Levels of n segments that hold rows. `log` and `group` (n,): segments of one group belong to one log and face;
+    `time_s`, `degc` (n,); `mean` (n, 3) in the sensor's unit less the base model's prediction, and its `square_error`
+    (n, 3) for independent readings; `felt_g` (n, 3) specific force along the nominal axes, nan if no face is named;
+    `thermometer` (n,) counts of the chip's own thermometer, nan if it has none; `width_s` (n,).
     """
 
     log: Integers
@@ -39,12 +39,12 @@ class Levels:
 
     @property
     def apart(self) -> Floats:
-        """(n, 3) mean less that of the group."""
+        """(n, 3) means less the mean of their group."""
         return centre(self.mean, self.group)
 
     @property
     def seconds(self) -> float:
-        """All segments' time."""
+        """Duration of all segments."""
         return float(self.width_s.sum())
 
     def groups(self) -> Iterator[Indices]:
@@ -126,8 +126,8 @@ def _of_phase(evidence: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.gener
 
 
 def change_between_logs(evidence: Evidence) -> Floats:
-    """Return (3,) by how much two or three logs of one kind differ in level, where evidence of both parts tells; else
-    0.
+    """Return (3,) the change of the level if two or three logs record the same kind of experiment, on the axes on which
+    it is significant; else 0.
     """
     counts = Counter(kind for _, kind in {(phase.log, phase.kind) for phase in evidence.still})
     if not any(1 < count < _SERIES for count in counts.values()):
@@ -144,15 +144,15 @@ _LEAST = 3
 """Segments on each side of a step."""
 
 _ROUNDING_LSB2 = 0.01
-"""Least variance in squared counts: readings that are all alike have a noise too."""
+"""Least variance in squared counts, because constant readings have rounding noise too."""
 
 _CLEAR = 15.0
-"""By so many nats two states have to fit better than one."""
+"""Nats by which two states must fit better than one."""
 
 
 class States(NamedTuple):
-    """(3,) readings before and after, in the unit by the configured sensitivity, on the same face and at the same
-    temperature, and noises.
+    """(3,) readings before and after a change, in the sensor's unit by the configured sensitivity, for the same face
+    and temperature, and the noises before and after.
     """
 
     before: Floats
@@ -162,7 +162,9 @@ class States(NamedTuple):
 
 
 class Onset(NamedTuple):
-    """From `onset_s` on in log number `log` another state holds, which explains it by `nats` better."""
+    """From `onset_s` in log number `log` on, another state holds. It explains the log by `nats` better than one
+    state.
+    """
 
     log: int
     onset_s: float
@@ -171,8 +173,8 @@ class Onset(NamedTuple):
 
 
 class _Series(NamedTuple):
-    """Segments in order: (s,) times, (s, 3) levels less the model's, what the model predicts, the part of that which
-    follows the temperature, and variances.
+    """Segments in order: (s,) times, (s, 3) levels less the model's prediction, the prediction, its part that follows
+    the temperature, and variances.
     """
 
     time_s: Floats
@@ -183,9 +185,9 @@ class _Series(NamedTuple):
 
 
 def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
-    """Return the clearest step of level and noise within each log that has a clear one, the clearest first.
+    """Return the clearest step of level and noise of each log that has a clear one; the clearest first.
 
-    From the step on a reading is `ratio` times what it would be, so that each face has another step.
+    After the step a reading is multiplied by `ratio`, so the step differs from face to face.
     """
     steps: list[Onset] = []
     for log in dict.fromkeys(phase.log for phase in evidence.still):
@@ -200,8 +202,8 @@ def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
 
 
 def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
-    """Return the values of the `rare` ones of the logs (l,) on the face of the first log, at the temperature of the
-    rare ones: a chip's own thermometer may have any zero.
+    """Return the states of the other logs (before) and of the `rare` ones of the logs (l,) (after), by the first phase
+    at rest of each log, at the temperature of the rare ones: a chip's own thermometer may have any zero.
     """
     logs = sorted({phase.log for phase in evidence.still})
     if len(logs) != len(rare):
@@ -234,13 +236,13 @@ def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
 
 
 def _unscaled(series: _Series, ratio: float) -> Floats:
-    """Return (s, 3) deviations of levels from the model if readings are `ratio` times what they would be."""
+    """Return (s, 3) deviations of the levels from the model if readings are multiplied by `ratio`."""
     return (series.residual + series.predicted) / ratio - series.predicted
 
 
 def _gains(series: _Series, ratio: float) -> Floats:
-    """Return the nats (s,) by which two levels and variances, which change before a segment, explain the segments
-    better than one of each; -inf near the ends.
+    """Return the nats by which two levels and variances, which change before a segment, explain the segments better
+    than one level and variance; -inf for the first `_LEAST` segments, no entry for the last ones.
     """
     spread = np.log(series.variance)
     values = np.concatenate([series.residual, spread], axis=1)
@@ -252,7 +254,7 @@ def _gains(series: _Series, ratio: float) -> Floats:
 
 
 def _squares_before(values: Floats) -> Floats:
-    """Return the sum of squared deviations of the rows before each row (n + 1, k), and of all, from their mean."""
+    """Return (n + 1, k) the sums of squared deviations from their mean of the rows before each row, and of all rows."""
     centred = values - values.mean(axis=0)
     sums, squares = (np.cumsum(powers, axis=0) for powers in (centred, centred * centred))
     rows = np.arange(1, len(values) + 1)[:, None]
@@ -272,7 +274,7 @@ def _states(series: _Series, at: int, ratio: float) -> States:
 
 
 def _time(series: _Series, at: int, ratio: float) -> float:
-    """Return the time of the step, from the shares of it that are in the means of the segments before and after."""
+    """Return the time of the step, from its shares in the means of the segments before and after it."""
     low = np.median(series.residual[: at - 1], axis=0)
     inner = slice(at - 1, at + 1)
     faces = series.predicted[inner]

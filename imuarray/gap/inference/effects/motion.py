@@ -1,4 +1,4 @@
-"""Effects that show in motion: the relation of readings to what a sensor should feel, with rotation and with force."""
+"""Effects that show in motion: how readings depend on the reference motion, on rotation and on force."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ CHANGE = slice(CUBED.stop, CUBED.stop + 3)
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean products (24, 24) of window means in motion, about their segments' means: the sensor's readings (`OWN`),
-    those of its reference along its nominal axes (`REFERENCE`; `Cross.reference`), products of angular
-    rates and angular accelerations in the box (`ROTATION`, rad^2/s^2), the mean force in the sensor's nominal axes
-    in g (`FORCE`), cubes of angular rates in the box (`CUBED`, rad^3/s^3), the reference's change per second
-    (`CHANGE`); over `windows` windows.
+    """Mean products (24, 24) of window means in motion, less the means of their segments, over `windows` windows. The
+    columns are the sensor's readings (`OWN`), those of its reference along its nominal axes (`REFERENCE`;
+    `Cross.reference`), products of angular rates and angular accelerations in the box (`ROTATION`, rad^2/s^2), the mean
+    force along the sensor's nominal axes in g (`FORCE`), cubes of angular rates in the box (`CUBED`, rad^3/s^3), and
+    the reference's change per second (`CHANGE`).
     """
 
     products: Floats
     windows: int
 
     def beyond_reference(self, columns: slice | Indices) -> tuple[Floats, Floats, Floats]:
-        """Return products that the reference doesn't explain: (c, c) of these columns, (c, 3) of them with the sensor's
-        readings, and (3,) squares of the readings.
+        """Return the products that the reference does not explain: (c, c) of these columns, (c, 3) of these columns
+        with the sensor's readings, and (3,) squares of the readings.
         """
         reference_products = self.products[REFERENCE, REFERENCE]
         solved = np.linalg.pinv(reference_products, rcond=1e-9, hermitian=True) @ self.products[REFERENCE]
@@ -46,7 +46,7 @@ class Moments:
 
 
 def moments(evidence: Evidence) -> Moments | None:
-    """Moments over all phases in motion; None without one, or without a reference."""
+    """Return the moments over all phases in motion; None without a motion or without a reference."""
     total, windows = np.zeros((CHANGE.stop, CHANGE.stop)), 0
     for phase in evidence.phases:
         if phase.is_still or phase.cross is None or not phase.cross.windows or not takes_part(evidence, phase.cross):
@@ -60,8 +60,8 @@ def moments(evidence: Evidence) -> Moments | None:
 
 
 def _products(cross: Cross, weights: Floats) -> Floats:
-    """Return the mean products (24, 24) of the columns `weights` (21, p) and of the reference's change per second,
-    whatever the length of the windows; no window has a neighbour where the changes are nan.
+    """Return the mean products (24, 24) of the columns `weights` (21, p) and of the reference's change per second. The
+    changes are normalised by the length of the windows; they are nan if no window has a neighbour.
     """
     products = np.zeros((CHANGE.stop, CHANGE.stop))
     products[: CHANGE.start, : CHANGE.start] = weights @ cross.fast @ weights.T
@@ -73,12 +73,12 @@ def _products(cross: Cross, weights: Floats) -> Floats:
 
 
 def takes_part(evidence: Evidence, cross: Cross) -> bool:
-    """Return whether the sensor is among those whose readings are compared: inertial ones, as long as they read."""
+    """Return whether the sensor is among those whose readings are compared: inertial sensors that have readings."""
     return any(item.name == evidence.header.name for item in cross.sensors)
 
 
 def _weights(cross: Cross, sensor: str) -> Floats | None:
-    """Return (21, p) what each column is made of."""
+    """Return (21, p) the weights of the columns of `Moments`, without the change; None without a reference."""
     reference = cross.reference(sensor)
     if reference is None:
         return None
@@ -96,23 +96,23 @@ def _weights(cross: Cross, sensor: str) -> Floats | None:
 _BENT_MOTION = ("motion_residual", "motion_coupling", "motion_gain", "motion_square", "motion_cube")
 _SQUARE, _CUBE = "motion_square", "motion_cube"
 _BEYOND = 2.7
-"""Scores beyond which a motion shows one of these effects."""
+"""Scores above which a motion shows one of these effects."""
 
 _LARGEST_BEND = 0.5
-"""Of the range, which a curve doesn't bend by more."""
+"""Largest deviation from a straight line at the end of the range, as a share of the range."""
 
 _SMALL_BEND = 1e-3
-"""Share of the motion: less of a bend isn't looked for."""
+"""Least deviation of a cubic term that is suggested, as a share of the motion."""
 
 
 def guess_nonlinearity(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Quadratic terms by the even part on faces, a gyroscope's by the squares of rates in motion; its cubic ones by the
-    cubes of rates, an accelerometer's by what is left in motion, as of a sine.
+    """Suggest quadratic terms by the even part on faces; for a gyroscope, by the squares of rates in motion. Suggest
+    cubic terms of a gyroscope by the cubes of rates, and of any sensor by the residual in motion, as for a sine.
     """
     quadratic = np.zeros(3)
     if evidence.header.quantity != "angular_rate":
         quadratic = np.where(np.abs(evidence.score("force_square")) > _BEYOND, evidence.shift("force_square"), 0.0)
-    elif evidence.is_odd(*_BENT_MOTION, beyond=_BEYOND):  # on a face there is no rate that could be squared
+    elif evidence.is_odd(*_BENT_MOTION, beyond=_BEYOND):  # no rate acts on a face
         quadratic = _quadratic_from_rates(evidence)
     quadratic = np.clip(quadratic, -_LARGEST_BEND / evidence.header.range, _LARGEST_BEND / evidence.header.range)
     if quadratic.any():
@@ -124,8 +124,8 @@ def guess_nonlinearity(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _quadratic_from_rates(evidence: Evidence) -> Floats:
-    """Return (3,) coefficients of the square of each axis's rate; sensors lie along the box's axes. If the squares
-    show, only those of the axes on which they do.
+    """Return (3,) coefficients of the square of each axis's rate, by the nearest axis of the box. If the squares show
+    on some axes, only these have a coefficient.
     """
     table = moments(evidence)
     if table is None:
@@ -148,21 +148,21 @@ def _cubic(evidence: Evidence) -> Floats:
 
 
 def _nearest(evidence: Evidence) -> Indices:
-    """Return (3,) the box's axis that is nearest to each axis of the sensor."""
+    """Return (3,) the axis of the box that is nearest to each axis of the sensor."""
     return np.asarray(np.abs(np.array(evidence.header.orientation)).argmax(axis=0))
 
 
 def _slope_beyond_reference(table: Moments, columns: slice, at: Indices) -> Floats:
-    """Return (3,) slopes of the axes' readings over the column of each axis, without what the reference explains of
-    both.
-    """
+    """Return (3,) slopes of each axis's readings over its column, after the reference's part of both is subtracted."""
     products, shared, _ = table.beyond_reference(columns)
     size = products[at, at]
     return np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
 
 
 def _cubic_from_motion(evidence: Evidence) -> Iterator[Hypothesis]:
-    """y = x + c x^3 of a sine x of variance s^2 shows a gain of 1 + 3/2 c s^2 and leaves c^2 s^6 / 4."""
+    """Suggest cubic terms: y = x + c x^3 of a sine x of variance s^2 has a gain of 1 + 3/2 c s^2 and a residual
+    variance of c^2 s^6 / 4.
+    """
     table = moments(evidence)
     if table is None:
         return
@@ -177,7 +177,7 @@ def _cubic_from_motion(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_cubic(cubic: Floats) -> Iterator[Hypothesis]:
-    """Return the hypothesis of cubic terms (3,), if there are any."""
+    """Yield the hypothesis of cubic terms (3,), unless all are 0."""
     if cubic.any():
         yield Hypothesis((Nonlinearity(cubic=triple(cubic)),), ("cubic",))
 
@@ -187,13 +187,13 @@ _DELAY = "motion_delay"
 _FORCE_IN_MOTION = ("motion_coupling", "motion_residual", _DELAY)
 
 _CLEAR_RESPONSE, _SMALL_RESPONSE = 4.0, 0.2
-"""Standard errors from which on a response is clear, and its least share of the largest one."""
+"""Standard errors from which on a response is clear, and its least share of the largest response."""
 
 
 def guess_g_sensitivity(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the least-squares fit of the levels over the force on each face, with all responses and with those alone
-    that are clear; where there are no faces, of what the other sensors don't explain in motion over the accelerometers'
-    mean.
+    """Suggest the least-squares fit of the levels over the force on each face, with all responses, and with the clear
+    ones only. Without several faces, suggest the fit of the residual of a motion, which the other sensors do not
+    explain, over the accelerometers' mean.
     """
     responses = _response_on_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else []
     if not responses and evidence.is_odd(*_FORCE_IN_MOTION, beyond=_BEYOND):
@@ -204,15 +204,15 @@ def guess_g_sensitivity(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class _ForceResponse(NamedTuple):
-    """Response `per_g` (3, 3) to specific force, which so many `numbers` determine."""
+    """Response `per_g` (3, 3) to specific force, and the `numbers` of parameters that determine it."""
 
     per_g: Floats
     numbers: int
 
 
 def _response_on_faces(evidence: Evidence) -> list[_ForceResponse]:
-    """Return the least-squares fit of the levels on faces, 0 along directions that were not felt; [] unless faces
-    differ.
+    """Return the least-squares fit of the levels on faces, 0 along directions in which the force did not change; [] if
+    all faces are the same.
     """
     table = levels(evidence)
     known = np.isfinite(table.felt_g).all(axis=1)
@@ -233,8 +233,8 @@ def _response_on_faces(evidence: Evidence) -> list[_ForceResponse]:
 
 
 def _response_in_motion(evidence: Evidence) -> list[_ForceResponse]:
-    """Return the least-squares fit of what the reference does not explain; and the mass unbalance that makes the delays
-    of axes.
+    """Return the least-squares fit of what the reference does not explain, and the mass unbalance that explains the
+    delays of the axes.
     """
     table = moments(evidence)
     if table is None:
@@ -248,10 +248,10 @@ def _response_in_motion(evidence: Evidence) -> list[_ForceResponse]:
 
 
 def _unbalance(evidence: Evidence, table: Moments) -> Floats:
-    """Return the (3, 3) response to the force f of a mass unbalance m, m x f (IEEE Std 1431), that delays the axes as
-    they are delayed beyond the model, as far as delays tell it; directions that they do not tell are near 0.
+    """Return the (3, 3) response to the force f of a mass unbalance m, m x f (IEEE Std 1431), that explains the delays
+    of the axes beyond the model. Directions that the delays do not determine are near 0.
 
-    A box that rocks feels gravity turn in step with the change c of its rate: an axis is late by -<c, m x f> / <c, c>.
+    In a box that rocks, gravity turns in step with the change c of the rate: an axis is late by -<c, m x f> / <c, c>.
     """
     products, _, _ = table.beyond_reference(_CHANGE_AND_FORCE)
     changes, force = np.diag(products[:3, :3]), products[:3, 3:]
@@ -269,16 +269,18 @@ def _unbalance(evidence: Evidence, table: Moments) -> Floats:
 _CHANGE_AND_FORCE = np.r_[CHANGE, FORCE]
 
 _USUAL_UNBALANCE = 10.0
-"""Scatter of the mass unbalance in dps/g, which limits what weak evidence says."""
+"""Standard deviation of the prior of a mass unbalance in dps/g. It limits the estimate if the evidence is weak."""
 
 
 _LARGEST_MM = 5000.0
 _CROSS_PRODUCTS = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(0, 2, 1)
-"""(3, 3, 3): matrix k makes e_k x r of r."""
+"""(3, 3, 3): matrix k multiplied by r is e_k x r."""
 
 
 def guess_size_effect(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the displacement, from least squares of what the other accelerometers' mean doesn't explain."""
+    """Suggest the displacement, by a least-squares fit of what the mean of the other accelerometers does not
+    explain.
+    """
     if not evidence.is_odd("motion_coupling", "motion_residual", "motion_gain", "motion_next", "motion_after"):
         return
     table = moments(evidence)
@@ -290,8 +292,9 @@ def guess_size_effect(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _displacement_m(evidence: Evidence, rotation: Floats, shared: Floats) -> Floats:
-    """Return (3,) metres in the box from the configured position: force = sum of column k times B_k r, B_k (3, 3) along
-    the sensor's axes, for r from the mean of the others.
+    """Return (3,) displacement from the configured position in metres, in the box's frame. The force is the sum of
+    column k of `rotation` times B_k r, with B_k (3, 3) along the sensor's axes and r from the mean position of the
+    others.
     """
     turn = np.array(evidence.header.orientation).T / SI_PER_UNIT[evidence.header.unit]
     columns = turn @ rotation_columns()
@@ -301,8 +304,8 @@ def _displacement_m(evidence: Evidence, rotation: Floats, shared: Floats) -> Flo
 
 
 def _configured_m(evidence: Evidence) -> Floats:
-    """Return (3,) metres in the box from the mean position of what the sensor is compared with in motion to its own; a
-    track is that of the origin.
+    """Return (3,) the configured position in metres, in the box's frame, relative to the mean position of what the
+    sensor is compared with in motion. A track is that of the origin.
     """
     sensor = evidence.header.name
     crosses = [phase.cross for phase in evidence.phases if not phase.is_still and phase.cross is not None]
@@ -313,8 +316,8 @@ def _configured_m(evidence: Evidence) -> Floats:
 
 
 def rotation_columns() -> Floats:
-    """Return (9, 3, 3): rate x (rate x r) = (rate rate^T - rate^2) r by the products xx, xy, xz, yy, yz, zz, and
-    angular acceleration x r.
+    """Return (9, 3, 3) the matrices B of the columns: rate x (rate x r) = (rate rate^T - rate^2) r by the products xx,
+    xy, xz, yy, yz, zz, and angular acceleration x r.
     """
     products = []
     for first, second in zip(*np.triu_indices(3), strict=True):

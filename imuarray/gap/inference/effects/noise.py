@@ -1,8 +1,8 @@
 """Effects on the noise of readings.
 
-A filter reduces noise, a reading that is merely late does not. The noise of a sensor is fitted, so no statistic shows
-its size. The figure of the data sheet is typical: parts differ from it by a third, and many have additional noise
-from elsewhere, so it enters with a heavy-tailed distribution.
+A filter reduces noise; a reading that is merely late does not. The noise of a sensor is fitted, so no statistic shows
+its size. The figure of the data sheet is typical: units differ from it by a third, and many have additional noise from
+other sources. The prior of a unit's noise is therefore heavy-tailed.
 """
 
 from __future__ import annotations
@@ -41,20 +41,24 @@ from imuarray.simulate.model import noise_bandwidth_hz
 from imuarray.simulate.signal import Triple
 
 _NOISE_SCATTER, _NOISE_TAIL = 0.3, 4.0
-"""Standard deviation of the log of a part's noise about the printed one, and degrees of freedom of its tail."""
+"""Standard deviation of the log of a unit's noise relative to the printed noise, and the degrees of freedom of its
+tail.
+"""
 
 _OF_TWO_POLES = math.pi / (2 * math.sqrt(2))
-"""Bandwidth of the white noise that a Butterworth filter with two poles passes, by its cutoff."""
+"""Noise bandwidth of a Butterworth filter with two poles, as a multiple of its cutoff."""
 
 BEYOND = 3.0
-"""Standard deviations by which logs of one noise differ from what was fitted to all."""
+"""Standard deviations from which on the noise of a log differs from the noise that was fitted to all logs."""
 
 _LEAST_ELEMENT = 0.1
-"""Share of the noise that rounding leaves to the element."""
+"""Least share of the noise that is attributed to the element, after the rounding noise is subtracted."""
 
 
 class NoiseOfLogs(NamedTuple):
-    """The `noisy` and the `quiet` logs, by their numbers, and the log (3,) of the noise of each over the fitted one."""
+    """The numbers of the `noisy` and the `quiet` logs, and the log (3,) of the noise of each group relative to the
+    fitted noise.
+    """
 
     noisy: tuple[int, ...]
     quiet: tuple[int, ...]
@@ -63,8 +67,8 @@ class NoiseOfLogs(NamedTuple):
 
 
 def noise_of_logs(evidence: Evidence) -> NoiseOfLogs | None:
-    """Divides the logs by their noise; None if all have the fitted one. That is the median of all, so that of the
-    noisier or of the quieter logs if these are the most.
+    """Divide the logs by their noise; None if all have the fitted noise. The fitted noise is the median of all logs,
+    so it is that of the larger group.
     """
     logs = sorted({phase.log for phase in evidence.still})
     alone = {log: evidence.within([log]) for log in logs}
@@ -78,8 +82,8 @@ def noise_of_logs(evidence: Evidence) -> NoiseOfLogs | None:
 
 
 def with_noise(evidence: Evidence, log_ratio: Floats) -> FittedParameters:
-    """Return the fitted parameters with a noise that is `log_ratio` (3,) times larger, in logs; rounding stays as it
-    is.
+    """Return the fitted parameters with a noise that is multiplied by exp(`log_ratio`) (3,); the rounding noise
+    stays.
     """
     square = evidence.noise**2 * np.exp(2 * log_ratio)
     rounding = evidence.noise**2 - np.square(evidence.fitted.rms)
@@ -87,14 +91,16 @@ def with_noise(evidence: Evidence, log_ratio: Floats) -> FittedParameters:
 
 
 def cutoff_that_passes(evidence: Evidence, share: float) -> float:
-    """Cutoff of a low-pass of two poles that lets this share of the rms of the chip's noise through; 0 if unknown."""
+    """Return the cutoff in Hz of a two-pole low-pass that passes this share of the rms of the chip's noise; 0 if
+    unknown.
+    """
     return share**2 * noise_bandwidth_hz(evidence.header) / _OF_TWO_POLES
 
 
 def rarity_behind(evidence: Evidence, cutoff_hz: float) -> float:
-    """Nats by which the sensor's noise is rarer if it went through a low-pass of two poles than if it did not: negative
-    for one that is quieter than printed by as much, positive for one that ought to be and is not. 0 if the filter
-    passes all that the chip's own does, or nothing is printed.
+    """Return the nats by which the sensor's noise is rarer with a low-pass of two poles than without it: negative if
+    the noise is as much below the printed noise as the filter makes it, positive if it is not. 0 if the filter passes
+    as much as the chip's own filter, or if no noise is printed.
     """
     passed_share, log_ratio = passed_by(evidence, cutoff_hz), quietness(evidence)
     return (
@@ -103,8 +109,8 @@ def rarity_behind(evidence: Evidence, cutoff_hz: float) -> float:
 
 
 def quietness(evidence: Evidence) -> float | None:
-    """Return the log of the noise as fitted over the printed one, the mean of the axes that have any; None where none
-    is known.
+    """Return the log of the fitted noise relative to the printed one, averaged over the axes that have noise; None if
+    no noise is printed.
     """
     printed = printed_noise(evidence.header)
     if printed is None:
@@ -115,24 +121,24 @@ def quietness(evidence: Evidence) -> float | None:
 
 
 def passed_by(evidence: Evidence, cutoff_hz: float) -> float:
-    """Return the share of the rms of the chip's noise that a low-pass of two poles lets through."""
+    """Return the share of the rms of the chip's noise that a two-pole low-pass passes."""
     own_hz = noise_bandwidth_hz(evidence.header)
     return math.sqrt(min(1.0, _OF_TWO_POLES * cutoff_hz / own_hz)) if own_hz > 0 else 1.0
 
 
 def _rarity_of_noise(apart: float) -> float:
-    """Nats that a unit's noise loses against a typical one's."""
+    """Return the nats by which a unit's noise is rarer than typical noise, if their log ratio is `apart`."""
     return (_NOISE_TAIL + 1) / 2 * math.log1p((apart / _NOISE_SCATTER) ** 2 / _NOISE_TAIL)
 
 
 _GROWN = 0.1
-"""Log of the ratio of noises after and before a moment from which on the noise has grown."""
+"""Log of the ratio of the noise after a moment to the noise before it, from which on the noise has grown."""
 
 
 def guess_white_noise(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Guess the residual of a motion that the other sensors don't explain as noise, for a sensor that was never
-    fitted at rest. For one that was, the noise can't be too large everywhere, unless it was fitted to an earlier
-    recording: guess the excess of some logs, or of a spell, over the rest.
+    """Suggest noise that explains the residual of a motion, which the other sensors do not explain, if the sensor was
+    never at rest. Otherwise the noise is fitted and cannot be too large everywhere, unless it was fitted to an earlier
+    recording: suggest the excess of some logs, or of a spell, over the rest.
     """
     if not evidence.is_refitted:
         yield from _noise_since(evidence)
@@ -145,7 +151,9 @@ def guess_white_noise(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _more_noise(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest more noise at some times. That of the rest is the smaller one: what was fitted may lie between."""
+    """Suggest more noise at some times. The noise of the rest is smaller than the fitted noise, which may lie
+    between.
+    """
     if evidence.when.spans:
         if evidence.score("noise").max() > BEYOND:
             yield from _grown(evidence, evidence.typical("noise"), np.zeros(3), ALWAYS)
@@ -154,7 +162,9 @@ def _more_noise(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _grown(evidence: Evidence, more: Floats, less: Floats, when: When) -> Iterator[Hypothesis]:
-    """Guess the excess of the larger noise over the smaller one, (3,) each as the log of its ratio to the fitted."""
+    """Suggest the excess of the larger noise over the smaller one; (3,) each as the log of its ratio to the fitted
+    noise.
+    """
     larger, usual = (evidence.noise**2 * np.exp(2 * side) for side in (more, less))
     rms = np.sqrt(np.maximum(np.nan_to_num(larger - usual), 0.0))
     if rms.any():
@@ -162,9 +172,9 @@ def _grown(evidence: Evidence, more: Floats, less: Floats, when: When) -> Iterat
 
 
 def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the noise that grew within a log, also if its phases at rest are too short for spells; and in the logs
-    after it that have as much; or in all that have as much, since the dates of logs need not be those of the clock of
-    an effect.
+    """Suggest noise that grew within a log, even if its phases at rest are too short for spells: in this log alone or
+    also in the later logs with the same noise; or in all logs with the same noise, because the dates of logs need not
+    follow the clock of the effect.
     """
     for onset in onsets(evidence)[:1]:
         before, after = (
@@ -181,7 +191,9 @@ def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
-    """Return the logs other than that of a moment whose noise on the `grown` axes is nearer to that after it."""
+    """Return the other logs whose noise on the `grown` axes is nearer to that after the moment than to that before
+    it.
+    """
     middle = np.log(onset.states.noise_before * onset.states.noise_after) / 2
     logs = sorted({phase.log for phase in evidence.still} - {onset.log})
     level = {log: np.log(evidence.noise) + evidence.within([log]).typical("noise") for log in logs}
@@ -196,7 +208,7 @@ def _noise_in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _noise_since(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Another noise than in the earlier recording, on the axes on which it is odd."""
+    """Suggest a noise that has changed since the earlier recording, on the axes on which it is odd."""
     if not any(evidence.fitted.rms) or not evidence.is_odd("noise", beyond=BEYOND):
         return
     ratio = np.where(np.abs(evidence.score("noise")) > BEYOND, np.exp(evidence.typical("noise")), 1.0)
@@ -209,18 +221,18 @@ def _noise_since(evidence: Evidence) -> Iterator[Hypothesis]:
 _LOW_PASS_TRACES = ("lag_1", "lag_2", "lag_3", "allan_2", "allan_8", "band_5", "band_6", "band_1", "noise_excess")
 _BEYOND = 2.7
 _LEAST_CORRELATION, _MOST_CORRELATION = 0.01, 0.995
-"""Correlations beyond are no low-pass that rows show."""
+"""Correlations of successive rows outside of which no low-pass is inferred."""
 
 _CUTOFFS_ALIKE = 1.3
 _OF_SPELL = ("cutoff_hz", "noise_share")
 _QUIET = 0.7
-"""Largest share of the noise that a filter leaves: half of the power, as one of half the bandwidth does."""
+"""Largest share of the rms that a filter leaves: half of the power, as with half the bandwidth."""
 _MOST_NOISE = 10.0
 _UNSEEN = 0.3
-"""Correlation from which on rows tell the cutoff themselves."""
+"""Correlation of successive rows from which on they determine the cutoff themselves."""
 
 _NOTHING_LEFT = 0.75 * math.pi
-"""Time constants after which noise behind two poles is not correlated any more, for the first time."""
+"""Time constants at which the correlation of noise behind two poles is 0 for the first time."""
 
 
 _TWO_POLES = Bandwidth(1.0, poles=2.0)
@@ -228,13 +240,13 @@ _TWO_POLES = Bandwidth(1.0, poles=2.0)
 
 
 def guess_bandwidth(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the cutoff by the correlation at lag 1, -ln(phi) rows_per_s / (2 pi); others by that at lag 2, sqrt, and
-    by the ratio of both, where what is slower or white adds to them. Each with the signal as it is, and where a motion
-    tells that it is late, or early, with the signal filtered too.
+    """Suggest the cutoff by the correlation at lag 1, -ln(phi) rows_per_s / (2 pi). Suggest others by the square root
+    of the correlation at lag 2 and by the ratio of both, in case slow or white noise is added. Each is suggested with
+    the signal unfiltered, and if a motion shows a delay, with the signal filtered too.
 
-    Rows too slow to show any correlation still show the delay, 1 / (sqrt(2) pi cutoff) of a filter with two poles, and
-    only that: what tells it from a reading that is merely late is how much noise is gone. A filter of a spell takes its
-    share of the noise away, which the fit to the rest of the log knows nothing of.
+    Rows that are too slow to show a correlation still show the delay, 1 / (sqrt(2) pi cutoff) for a filter with two
+    poles. Only the reduction of the noise then distinguishes the filter from a late reading. A filter during a spell
+    reduces the noise by its share, which the fit to the rest of the log does not include.
     """
     if evidence.when.spans:
         yield from (
@@ -272,15 +284,15 @@ def _bandwidth_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
-    """Yield the effects of a trial with the share of the noise that the spell has."""
+    """Yield the effects of a trial with the share of the fitted noise that the spell has."""
     share = min(float(np.exp(evidence.typical("noise").mean())), _MOST_NOISE)
     for effect in trial.effects:
         yield replace(effect, noise_share=share) if isinstance(effect, Bandwidth) else effect
 
 
 def _in_quiet_spell(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a filter that reduces the noise in a spell, on all axes, whether or not its rows are fast enough to show
-    a correlation.
+    """Suggest a filter that reduces the noise in a spell, on all axes, even if the rows are too slow to show a
+    correlation.
     """
     if evidence.score("noise").max() < -BEYOND:
         share = float(np.exp(evidence.typical("noise").mean()))
@@ -290,8 +302,8 @@ def _in_quiet_spell(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a filter that reduces the noise in some logs, by the same share on all axes; whether or not their rows
-    are fast enough to show a correlation. Where little is gone, the other logs rather have more noise.
+    """Suggest a filter that reduces the noise in some logs, by the same share on all axes, even if their rows are too
+    slow to show a correlation. If the reduction is small, the other logs are assumed to have more noise instead.
     """
     logs = noise_of_logs(evidence)
     share = 1.0 if logs is None else float(np.exp((logs.less - logs.more).mean()))
@@ -302,7 +314,9 @@ def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Two poles, as output stages have at least: with one, rows would sooner show it."""
+    """Suggest a filter by its delay, with two poles, as output stages have at least. With one pole, rows would show it
+    by their correlation.
+    """
     lags_seen = odd_lags(evidence)
     if not lags_seen or any(lag.is_large for lag in lags_seen):
         return
@@ -320,11 +334,12 @@ _LINE_TRACES = (
 _BETWEEN_AXES = "fast_between_axes"
 MAINS_HZ = (50.0, 60.0)
 HARMONICS = 3
-"""So many multiples of the mains' frequency are looked for; transformers and rectifiers make the second and third."""
+"""Number of multiples of the mains' frequency that are searched: transformers and rectifiers make the second and third.
+"""
 
 BY_CHANCE = 0.05
-"""Share of lines that come so near an alias of one of these multiples by chance, at most: short phases have wide bins,
-and long ones narrow ones.
+"""Largest share of arbitrary frequencies that lie within a bin of an alias of one of these multiples. It limits the
+multiples: the bins of short phases are wide, and those of long ones narrow.
 """
 
 _CLEAR_LINE = 2.0
@@ -332,19 +347,21 @@ _LINES = 2
 
 _LEAST_PHASES = 5
 _DRIFTS, _SCATTER = 0.75, 0.25
-"""Bins by which a line has to move to drift, and the share of that by which it may leave a straight course."""
+"""Least movement of a drifting line, in bins, and its largest median deviation from a straight course, as a share of
+that movement.
+"""
 
 _BETWEEN = 2.0
 
 _ALIASES = 4
-"""Lines are looked for up to so many times the rate of the rows: chips pass less and less of what lies beyond."""
+"""Lines are searched up to this multiple of the row rate. Chips attenuate higher frequencies more and more."""
 
 _SEEN = 4.0
-"""Standard deviations by which another rate shows a line, for it to say which alias it is."""
+"""Standard deviations by which rows of another rate must show a line, for it to determine the alias."""
 
 
 class _Sighting(NamedTuple):
-    """The highest line of one phase at rest: in which log, at `time_s` of it, `power` and `height` (3,)."""
+    """The highest line of one phase at rest: its log, the time `time_s` in the log, `power` and `height` (3,)."""
 
     log: int
     time_s: float
@@ -356,7 +373,7 @@ class _Sighting(NamedTuple):
 
 @dataclass(frozen=True)
 class _Rate:
-    """The phases at rest with so many rows a second."""
+    """The phases at rest with the same number of rows per second."""
 
     rows_per_s: float
     phases: tuple[PhaseEvidence, ...]
@@ -367,8 +384,8 @@ class _Rate:
         return [phase.raw.spectrum for phase in self.phases if phase.raw.spectrum.segments]
 
     def height(self, hertz: float) -> float:
-        """Return how far a line of that frequency stands above what is beside it, in standard deviations, where rows of
-        this rate show it.
+        """Return the height of a line of that frequency above its neighbourhood, in standard deviations, at the
+        frequency at which rows of this rate show it.
         """
         spectrum = pool_spectra(self.spectra)
         if spectrum is None:
@@ -389,8 +406,8 @@ def _rates(evidence: Evidence) -> list[_Rate]:
 
 
 def guess_tone(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of
-    the mains if it is where rows show these. One that is elsewhere in each phase, by its course.
+    """Suggest the two highest lines of the mean spectrum at rest, at the frequency at which rows show them, or at the
+    mains' frequency if rows show it there. A line whose frequency differs between phases is suggested with its drift.
     """
     if not evidence.is_odd(*_LINE_TRACES, beyond=_BEYOND):
         return
@@ -412,8 +429,8 @@ def guess_tone(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]:
-    """Suggest the line that is highest in most phases, if it moves straight on in each log. What a single log can't
-    tell is how far from there others begin: twice as far, it is taken, as it drifts in this one.
+    """Suggest the line that is highest in most phases, if it moves uniformly in each log. A single log does not
+    determine how the first frequency varies between logs: twice the drift in this log is assumed.
     """
     sightings = list(_sightings(evidence, known_hz))
     if len(sightings) < max(_LEAST_PHASES, len(evidence.still) / 2):
@@ -427,7 +444,7 @@ def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]
         centred[:, is_of_log] = [value[is_of_log] - np.median(value[is_of_log]) for value in (time_s, hertz)]
     if np.ptp(centred[0]) == 0:
         return
-    from scipy.stats import theilslopes  # its weight is for those who ask
+    from scipy.stats import theilslopes  # imported only on use, because it is slow
 
     slope = float(theilslopes(centred[1], centred[0]).slope)
     length_s = np.ptp(time_s)
@@ -466,8 +483,8 @@ def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> Triple:
 
 
 def assign_signs(amplitude: Triple, between_axes: Floats) -> Triple:
-    """`amplitude` with the signs that agree best with `between_axes` (3,), by how much each axis correlates more with
-    the next one than the model has it: a line that reaches two axes in antiphase makes that negative.
+    """Return `amplitude` with the signs that agree best with `between_axes` (3,), the excess of the correlation of each
+    axis with the next one over the model's: a line with opposite phases on two axes makes it negative.
     """
     signs = np.array([(1, 1, 1), (-1, 1, 1), (1, -1, 1), (1, 1, -1)])
     present = np.array(amplitude) != 0
@@ -476,13 +493,13 @@ def assign_signs(amplitude: Triple, between_axes: Floats) -> Triple:
 
 
 def shown_hz(hertz: float, rows_per_s: float) -> float:
-    """Frequency at which rows show a line, 0 to half their rate."""
+    """Return the frequency at which rows show a line, 0 to half their rate."""
     return abs(hertz - rows_per_s * round(hertz / rows_per_s))
 
 
 def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate]) -> Iterator[float]:
-    """Frequencies in Hz of a line at `seen_hz`: as the rows show it and, if other sensors have another rate, the alias
-    that agrees best with theirs; the frequency of the mains if it shows in the same bin.
+    """Yield the frequencies in Hz that a line at `seen_hz` may have: the alias that agrees best with the rows of other
+    rates, if any; and the frequency at which the rows show it, or a mains' frequency that shows in the same bin.
     """
     aliases = [
         hertz
@@ -500,12 +517,11 @@ def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate])
 
 
 def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
-    """Return the frequency of the mains, or its lowest multiple, of which `seen_hz` is an alias to a bin; else
-    `seen_hz`.
+    """Return the lowest multiple of the mains' frequency of which `seen_hz` is an alias within a bin; else `seen_hz`.
 
-    Multiples are tried as long as a line at an arbitrary frequency would rarely be so near to one of them.
+    Multiples are tried as long as an arbitrary frequency is rarely that near to one of them.
     """
-    share = 2 * len(MAINS_HZ) * bin_hz / (rows_per_s / 2)  # of all frequencies is so near an alias of one multiple each
+    share = 2 * len(MAINS_HZ) * bin_hz / (rows_per_s / 2)  # share of all frequencies that is near one alias per line
     most = min(HARMONICS, max(1, int(BY_CHANCE / share)))
     multiples = [number * hertz for number in range(1, most + 1) for hertz in MAINS_HZ]
     if any(abs(hertz - seen_hz) < bin_hz for hertz in multiples):

@@ -23,40 +23,42 @@ _WITHIN = ("noise_halves", "noise_uneven", "mean_halves", "wander", "arch", "kur
 _BEYOND = 2.7
 
 _NEAR = 0.25
-"""A response is that of another range if its log is as near to that of the ratio of sensitivities."""
+"""Largest difference between the log of a response and the log of a range's ratio of sensitivities."""
 
 _FREE = ("offset", "noise_share", "probability")
 _NOISE_SHARES = (0.1, 10.0)
 _MOST = 3.0
-"""An offset is not larger than so many times the step that it takes part in."""
+"""Largest offset, as a multiple of the step of which it is a part."""
 
 _SOON = 2.0
-"""Rows that are lost so many rows behind a stretch are those in which the chip was set up again."""
+"""Rows that are lost within this many rows of the end of a stretch were lost while the chip was set up again."""
 
 _OFFSET = 0.005
-"""By how much of the configured range the offsets of ranges differ, or a few times that."""
+"""Scale of the differences between the offsets of ranges, as a share of the configured range; they have heavy tails."""
 
 _NOISE_TOO = 0.3
-"""Of what another range makes of noise that comes before its amplifier, in the log: some of it comes behind."""
+"""Least change of the noise, as a share of the log of the ratio of sensitivities: part of the noise arises behind the
+amplifier and does not change.
+"""
 
 _AS_CLEAR = 0.5
-"""Least share of the nats of the clearest range's step: the faces show which range it is. A slope over temperature that
-was fitted to the step too disturbs all of them.
+"""Least share of the clearest range's nats from which on a range is tried. The faces show which range it is, but a
+slope over temperature that was fitted to the step too disturbs all of them.
 """
 
 _HALF_WAY = 0.5
 """The noise of a log is that of another range if its logarithm has changed by more than this share of the change that
-the other range makes.
+the other range causes.
 """
 
 _RANGES = 2
-"""So many ranges are tried, those that need the smallest offset and change of noise."""
+"""Number of ranges that are tried: those that need the smallest offset and change of noise."""
 
 
 def guess_range_reset(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Another range always, by the response to force or motion; in some logs; while the recorder found the chip set
-    otherwise; or from the row on at which level or noise change: the offset is what the range leaves of the level,
-    `noise_share` what it leaves of the noise.
+    """Suggest another range: always, by the response to force or motion; in some logs; while the recorder noticed that
+    the chip had other settings; or from the row on at which level or noise change. The offset is the part of the level
+    that the range does not explain, `noise_share` the part of the noise.
     """
     if evidence.header.chip not in CHIPS:
         return
@@ -71,8 +73,8 @@ def guess_range_reset(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _within(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a reset within a log, to each range whose step is about as clear as the clearest one's: those that need
-    the smallest offset and change of noise.
+    """Suggest a reset within a log, to each range whose step is about as clear as the clearest one. The ranges that
+    need the smallest offset and change of noise are used.
     """
     steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
     guesses = [
@@ -88,8 +90,8 @@ def _within(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Iterator[Hypothesis]:
-    """Suggest a reset in the log with the clearest step; one that lasts in the logs after it, since nothing sets the
-    chip up again; and resets in all logs in which the same range is left of one.
+    """Suggest a reset in the log with the clearest step alone; one that lasts in the later logs too, because nothing
+    sets the chip up again; and resets in all logs with a step that the same range explains.
     """
     clearest, *more = steps
     alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
@@ -110,8 +112,8 @@ def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Ite
 def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Hypothesis]:
     """Suggest a reset in these logs alone, all of which may belong to one part of the data.
 
-    The noise must differ as well, which a change of the bias leaves as it is. Level and noise of the sensor are those
-    of the other logs.
+    The noise must change as well, because a change of the bias does not change it. The level and noise of the sensor
+    are those of the other logs.
     """
     others = [phase.residual for phase in evidence.still if phase.log not in logs and phase.raw.rows]
     level = np.median([np.nanmean(phase.segments.mean, axis=0) for phase in others], axis=0)
@@ -127,8 +129,8 @@ def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterato
 
 
 def _by_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a reset in the logs with the rarer one of two levels, as a chance of a boot and in these logs alone; and
-    in the logs whose response or noise is that of another range.
+    """Suggest a reset in the logs with the rarer of two levels, with a probability per boot and in these logs alone;
+    and in the logs whose response or noise is that of another range.
     """
     logs, means, errors = log_levels(levels(evidence))
     rare = rarer(means, errors) if len(means) > 1 else None
@@ -144,8 +146,8 @@ def _by_logs(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _logs_by_response(evidence: Evidence) -> set[tuple[int, ...]]:
-    """Return, for each other range, the logs whose response to motion, or else whose noise, is that of the range:
-    levels that differ between logs for other reasons (faces, turn-on bias) do not tell them.
+    """Return, for each other range, the logs whose response to motion, or else whose noise, is that of the range.
+    Levels are not used, because they differ between logs for other reasons (faces, turn-on bias).
     """
     responses = {log: value for log, value in _by_log(evidence, "motion_along").items() if value > 0}
     noises = _by_log(evidence, "noise")
@@ -159,7 +161,7 @@ def _logs_by_response(evidence: Evidence) -> set[tuple[int, ...]]:
 
 
 def _by_log(evidence: Evidence, probe: str) -> dict[int, float]:
-    """Return the median value of a probe over the phases and axes of each log in which it is known."""
+    """Return the median of a probe over the phases and axes of each log in which it is known."""
     values = evidence.values.get(probe, np.zeros((0, 1)))
     logs = np.array(evidence.rows_of.get(probe, ()))
     rows = {int(log): values[logs == log] for log in np.unique(logs)}
@@ -167,9 +169,9 @@ def _by_log(evidence: Evidence, probe: str) -> dict[int, float]:
 
 
 def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest resets in the stretches that the recorder noticed, however short: the range that takes readings before to
-    those within, or the configured one if the chip lost another setting, and the rows that were lost while the chip was
-    set up again.
+    """Suggest resets in the stretches that the recorder noticed, however short. The range is the one that maps the
+    readings before to those within a stretch, or the configured one if the chip lost another setting. Rows that were
+    lost while the chip was set up again are part of the hypothesis.
     """
     resets = [reset for _, reset in evidence.resets]
     scale = evidence.header.sensitivity
@@ -191,19 +193,19 @@ def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
     candidates = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides, ratios)]
     for rarity, effect in sorted(candidates, key=lambda candidate: candidate[0])[
         :_RANGES
-    ]:  # so few readings say little of the noise
+    ]:  # sorted by the offset alone: so few readings do not determine the noise
         reset_effect = replace(effect, **known, doubts_s=doubts_s, blanks_s=tuple(reset.blank_s for reset in resets))
         effects = (reset_effect, *([missing] if lost else []))
         yield Hypothesis(effects, whole=True, rarity=numbers + rarity)
 
 
 def _unlike(evidence: Evidence, size: float) -> float:
-    """Nats by which an offset is rarer than none: what few readings show another range explains with another one."""
+    """Return the nats by which an offset of this size is rarer than none. A wrong range needs another offset."""
     return float(np.log1p((size / (_OFFSET * evidence.header.range)) ** 2))
 
 
 def _ratios(evidence: Evidence) -> dict[float, float]:
-    """Return counts per unit of the other ranges over those of the one that is configured."""
+    """Return the ratio of each other range's counts per unit to those of the configured range."""
     header = evidence.header
     sensitivities = CHIPS[header.chip].sensitivity
     return {
@@ -233,7 +235,7 @@ class _Guess(NamedTuple):
 
 
 def _in_some_boots(evidence: Evidence, states: States, probability: float) -> Iterator[Hypothesis]:
-    """Guess a range that some boots come up in, by the levels before and after, r (x + offset), and the noises."""
+    """Suggest a range after some boots, by the levels before and after, r (x + offset), and the noises."""
     free = _FREE if probability < 1 else _FREE[:2]
     for guess in _cheapest(_guesses(evidence, [states])):
         yield Hypothesis((replace(guess.effect, probability=probability),), free)
@@ -242,8 +244,8 @@ def _in_some_boots(evidence: Evidence, states: States, probability: float) -> It
 def _guesses(
     evidence: Evidence, sides: Sequence[States], ratios: Mapping[float, float] | None = None
 ) -> Iterator[_Guess]:
-    """Yield a guess for each range of `ratios` (the other ranges by default), with the median offset and noise that it
-    leaves over all pairs of sides.
+    """Yield a guess for each range of `ratios` (default: the other ranges), with the median over all pairs of sides of
+    the offset and noise that the range leaves unexplained.
     """
     step = float(np.median([np.linalg.norm(side.after - side.before) for side in sides]))
     for other, ratio in (_ratios(evidence) if ratios is None else ratios).items():
@@ -254,7 +256,7 @@ def _guesses(
         share = np.median(known, axis=0) if len(known) else np.ones(3)
         if not ((share > _NOISE_SHARES[0]) & (share < _NOISE_SHARES[1])).all():
             continue
-        size = float(np.sqrt(np.mean(np.square(offsets).sum(axis=1))))  # faces tell a wrong range by other ones each
+        size = float(np.sqrt(np.mean(np.square(offsets).sum(axis=1))))  # a wrong range needs another offset per face
         if size > _MOST * step:
             continue
         (x, y, z), (a, b, c) = offset.tolist(), share.tolist()

@@ -21,29 +21,31 @@ _STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
 _IN_MOTION = "motion_residual"
 _SPIKE = "spike"
 _BEYOND_NOISE = 4.0
-"""Standard deviations of a step."""
+"""Least size of a step, in standard deviations."""
 
 _GAUSSIAN = 6.33e-5
-"""So many steps of Gaussian noise are larger."""
+"""Share of the steps of Gaussian noise that are larger."""
 
 _LOW_BYTES = (64, 256)
-"""What a high byte counts: six bits of a BMA180 travel in the low one (BMA-60), eight elsewhere."""
+"""Counts per unit of the high byte: the low byte of a BMA180 carries six bits (BMA-60), that of other chips eight."""
 
 _NEAR = 0.25
 
 _FAR, _FEWEST_LSB = 6.0, 4.0
-"""By so many standard deviations, and counts, single readings are off the middle of their neighbours."""
+"""Least deviation of a single reading from the middle of its neighbours, in standard deviations and in counts."""
 
 _AMONG = 2.5
-"""So many times further off than the nearest that is kept of an axis is a reading that no motion explains."""
+"""A reading in motion is a spike if it deviates by more than this multiple of the smallest deviation that is kept of
+its axis.
+"""
 
 _AGAIN_TORN = 3
-"""Fewer readings tell no frequency."""
+"""Fewest torn readings that determine a frequency."""
 
 
 class _Tail(NamedTuple):
-    """Sizes of steps in counts and how often each came, of one axis in one phase of so many rows; per high byte that
-    weighs 64 and 256, how often neighbours differ in it if they are independent.
+    """Sizes of the steps of one axis in one phase, in counts, and how often each occurs; rows of the phase; and, for
+    high bytes of 64 and of 256 counts, the probability that two independent readings differ in it.
     """
 
     sizes: Integers
@@ -53,7 +55,7 @@ class _Tail(NamedTuple):
 
 
 def guess_glitches(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Spikes, torn words, words that read -1; each with its frequency."""
+    """Suggest spikes, torn words and words that read -1, each with its frequency."""
     if evidence.is_odd("words"):
         yield from _words([phase.raw for phase in evidence.phases])
     if evidence.is_odd(*_STEPS):
@@ -66,9 +68,9 @@ def guess_glitches(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _torn_by_lag(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a high byte that is a row old. It is wrong by 256 counts as often as a change has the share of these: in
-    the mean the reading is a row late. So many of them that they don't stand alone make the sensor late by as much of a
-    row; one of three axes is hit.
+    """Suggest high bytes that are a row old. Such a byte is wrong by 256 counts with a probability of the change over
+    256, so the mean reading is late by a row. If torn readings are too frequent to be isolated, the sensor is late by
+    their share of a row. One axis of three is torn.
     """
     lags_seen = odd_lags(evidence)
     share = 3 * mean_of(lags_seen, "lag_s") * evidence.rows_per_s if lags_seen else 0.0
@@ -82,7 +84,7 @@ def _spikes_again(evidence: Evidence) -> Iterator[Hypothesis]:
     rows = sum(tail.rows for tail in tails) / 3
     count, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
     if count >= usual + 3 * math.sqrt(usual) + 2:
-        hits = (count - usual) / 2  # there and back
+        hits = (count - usual) / 2  # each makes a step there and a step back
         size = _median_step(tails)
         spike = Glitches(min(hits / rows, 1.0), size / evidence.header.sensitivity)
         yield Hypothesis((spike,), ("probability", "amplitude"))
@@ -90,7 +92,7 @@ def _spikes_again(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class _Hit(NamedTuple):
-    """A reading of an axis in a log, and by how many counts it is off."""
+    """A reading of an axis in a log, and its deviation in counts (`jump`)."""
 
     log: int
     moment_s: float
@@ -99,7 +101,7 @@ class _Hit(NamedTuple):
 
 
 def _glitches_alone(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Guess the very readings that were hit, which are all known, if they are so few that most phases have none."""
+    """Suggest the readings themselves that were hit, if they are so few that most phases have none."""
     hits = [hit for phase in evidence.still for hit in _hits(phase)]
     spikes, torn = _spikes_in_motion(evidence), _torn_in_motion(evidence)
     hits += spikes if evidence.is_odd(_SPIKE) and len(torn) < len(spikes) else torn
@@ -119,7 +121,7 @@ def _glitches_alone(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hits(phase: PhaseEvidence) -> Iterator[_Hit]:
-    """Lone readings beyond what noise makes, each due half a row before it came."""
+    """Yield isolated readings that deviate more than noise does, each dated half a row before its time."""
     limits = np.fmax(_FAR * np.sqrt(1.5) * noise_lsb(phase.raw), _FEWEST_LSB)
     half_s = phase.raw.intervals.mean_s / 2
     lone = phase.raw.outliers
@@ -129,7 +131,7 @@ def _hits(phase: PhaseEvidence) -> Iterator[_Hit]:
 
 
 def _torn_again(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest torn readings as often as they occur in motion, among readings whose high byte has changed."""
+    """Suggest torn readings with their frequency in motion, among the readings whose high byte has changed."""
     hits, weight = len(_torn_in_motion(evidence)), high_byte(evidence.header.chip)
     moving = [(phase.raw.rows, steps) for phase in evidence.phases if not phase.is_still for steps in phase.raw.steps]
     shares = [np.minimum(steps.codes / weight, 1.0) @ steps.counts / max(steps.counts.sum(), 1) for _, steps in moving]
@@ -139,8 +141,8 @@ def _torn_again(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
-    """Return readings of phases that are looked at which are off by high bytes, and far more than the motion leaves.
-    One that is off by anything else may have come late.
+    """Return the spikes in motion that deviate by whole high bytes. A reading that deviates by another amount may be a
+    late one.
     """
     weight = high_byte(evidence.header.chip)
     spikes = ((hit, round(hit.jump / weight)) for hit in _spikes_in_motion(evidence))
@@ -152,7 +154,7 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
 
 
 def _spikes_in_motion(evidence: Evidence) -> list[_Hit]:
-    """Return readings of phases that are looked at which are off far more than the motion leaves."""
+    """Return the readings of the phases in motion that deviate far more than the motion explains."""
     half_s = 0.5 / evidence.rows_per_s
     phases = [(moving.log, moving.raw.phase) for moving in evidence.phases if not moving.is_still]
     spikes = []
@@ -169,8 +171,9 @@ def _spikes_in_motion(evidence: Evidence) -> list[_Hit]:
 
 
 def _torn(tails: Sequence[_Tail], size: float, hits: float) -> Iterator[Hypothesis]:
-    """Suggest torn readings: one with the high byte of the reading before is wrong only where that changed, on one
-    axis of three."""
+    """Suggest torn readings. A reading with the high byte of the reading before is wrong only if that byte changed, on
+    one axis of three.
+    """
     for place, weight in enumerate(_LOW_BYTES):
         changes = sum(tail.rows * tail.crossing[place] for tail in tails) / 3
         if abs(size / weight - 1) < _NEAR and changes >= 1:
@@ -192,7 +195,7 @@ def _tails(summary: Summary) -> Iterator[_Tail]:
 
 
 def _crossing(high: Integers, counts: Integers) -> float:
-    """Return the chance that two readings have another high byte."""
+    """Return the probability that two readings differ in the high byte."""
     if len(high) == 0:
         return 0.0
     shares = np.bincount(high - high.min(), weights=counts) / counts.sum()
@@ -200,7 +203,7 @@ def _crossing(high: Integers, counts: Integers) -> float:
 
 
 def _median_step(tails: Sequence[_Tail]) -> float:
-    """Size of the steps."""
+    """Return the median size of the steps in counts."""
     sizes, counts = (np.concatenate(parts) for parts in list(zip(*tails, strict=True))[:2])
     order = np.argsort(sizes)
     upto = np.cumsum(counts[order])
@@ -209,28 +212,30 @@ def _median_step(tails: Sequence[_Tail]) -> float:
 
 _REPEAT_PROBES = ("longest_repeat", "repeats", "stale", "noise_uneven")
 _FLAT_PROBES = ("noise", "noise_uneven", "noise_excess", "kurtosis")
-"""Probes that an axis without noise moves."""
+"""Probes that change if an axis has no noise."""
 
 _FLAT_SEGMENTS, _NOISE_LSB = 3, 0.4
-"""Segments without any change in which an axis is stuck whose noise is at least so many LSB elsewhere."""
+"""Fewest segments without a change in which an axis is stuck, and its least noise elsewhere, in LSB."""
 
 _LEAST_ROWS = 8
 _HOLDS = 4.0
-"""So many times longer than readings are held on average."""
+"""Least length of a run, as a multiple of the mean number of rows for which readings are held."""
 
 _MOST_RUNS = 2
 _AGAIN_STUCK = 3
-"""Phases with such a run; fewer are single events."""
+"""Fewest runs that are suggested to recur; fewer are single events."""
 
 _FEWEST_STRETCHES = 2
-"""Stretches that are told one by one."""
+"""Fewest stretches that are suggested one by one."""
 
 _BEYOND_MODEL = 1.5
-"""So many times longer than the longest run that the model makes in any phase."""
+"""Least length of a stretch, as a multiple of the longest run that the model makes in any phase."""
 
 
 class _Run(NamedTuple):
-    """Seconds since the epoch of log `log` in which every reading is the one before; `open` until the phase's end."""
+    """Seconds since the epoch of log `log` in which each reading repeats the one before; `open`: until the phase
+    ends.
+    """
 
     log: int
     onset_s: float
@@ -239,9 +244,9 @@ class _Run(NamedTuple):
 
 
 def guess_stuck(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever.
-    Where many phases have one: again and again, as much time in all as rows are held; and where they are few enough,
-    each of them, since chance puts them into other phases.
+    """Suggest the longest runs, each in one piece over several phases; a run that lasts to the log's end lasts for
+    ever. If many phases have a run, suggest recurring runs that explain all repeated rows. If the runs are few enough,
+    suggest each of them with its time, because a random process puts them into other phases.
     """
     if evidence.is_odd(*_FLAT_PROBES):
         yield from _single_axes(evidence)
@@ -258,8 +263,8 @@ def guess_stuck(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _single_axes(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest axes that keep one code from one segment at rest to another while the others have noise, until the log
-    ends or the first segment that changes.
+    """Suggest axes that keep one code over several segments at rest while the others have noise, until the log ends or
+    the first segment that changes.
     """
     for log in sorted({phase.log for phase in evidence.still}):
         phases = [phase.raw for phase in evidence.still if phase.log == log]
@@ -290,7 +295,7 @@ def _single_axes(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _stuck_again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
-    """Suggest stretches as long as these `runs`, as often as explains all repeated rows."""
+    """Suggest stretches of the median length of these `runs`, at the frequency that explains all repeated rows."""
     length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
     held_rows = repeated_rows(phase.raw for phase in evidence.phases)
     rows = sum(phase.raw.rows for phase in evidence.phases)
@@ -301,10 +306,10 @@ def _stuck_again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesi
 
 
 def _stuck_alone(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest all stretches that are longer than the model makes them, in two forms: with the recorded readings, and
-    with whatever reading the simulation holds. Recorded readings fit only if the simulated bias varies little.
+    """Suggest all stretches that are longer than those of the model, in two forms: with the recorded readings, and with
+    whatever reading the simulation holds. Recorded readings fit only if the simulated bias varies little.
     """
-    longest = evidence.expected.get("longest_repeat", np.zeros((0, 1)))  # rows, the first one too
+    longest = evidence.expected.get("longest_repeat", np.zeros((0, 1)))  # rows, including the first one
     least = _BEYOND_MODEL * float(np.nanmax(longest, initial=1.0)) - 1
     repeated = [repetition for repetition in evidence.repeated if repetition.rows >= least]
     if not _FEWEST_STRETCHES <= len(repeated) <= SINGLE:
@@ -318,7 +323,7 @@ def _stuck_alone(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _with_first_reading(repetition: Repetition) -> Span:
-    """Return the stretch with the reading that is repeated, which may be the first of the log."""
+    """Return the stretch including the reading that is repeated, which may be the first of the log."""
     log, moment_s, length_s = repetition.span
     begin_s = max(moment_s - length_s / repetition.rows, 0.0)
     return Span(log, begin_s, moment_s + length_s - begin_s)
@@ -331,7 +336,7 @@ def _kind_of_rows(evidence: Evidence) -> str:
 
 
 def _runs(evidence: Evidence) -> list[_Run]:
-    """Return the longest of each phase, joined where one goes on in the next phase of the log."""
+    """Return the longest run of each phase; runs that continue in the next phase of the log are joined."""
     joined: list[_Run] = []
     order = sorted(evidence.phases, key=lambda phase: (phase.log, phase.raw.phase.start_ns))
     for phase in order:
@@ -355,7 +360,7 @@ def _longest(phase: PhaseEvidence, rows_per_s: float) -> _Run | None:
     rows = phase.raw.segments.rows
     edges_s = span.start_ns * 1e-9 + phase.raw.segments.width_s * np.arange(len(rows) + 1)
     upto = np.concatenate([[0], np.cumsum(rows)])
-    first = repeats.longest_row + (repeats.longest_row > 0)  # the reading that is repeated is not one of them
+    first = repeats.longest_row + (repeats.longest_row > 0)  # the repeated reading itself is not part of the run
     ends = (first, repeats.longest_row + repeats.longest)
     onset_s, end_s = np.interp(ends, upto, edges_s).tolist()
     half_s = 0.5 / rows_per_s  # between two rows
