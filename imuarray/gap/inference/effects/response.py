@@ -1,4 +1,4 @@
-"""Effects on the response of axes to what they should feel: to the faces that were up, and to the motion of others."""
+"""Effects on the response of axes: to the faces that were up, and to the motion that the other sensors measure."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from imuarray.gap.statistics.probes.turns import turn_of
 from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
 
 MOTION_WEIGHT = 0.1
-"""Of a motion beside a face: shares of a noisy reference fill in what no face tells."""
+"""Weight of a motion relative to a face: its reference is noisy and determines only what no face determines."""
 
 _LEAST_SHARE = 0.1
-"""A motion of which even the model shows less along every axis says nothing."""
+"""Least share of the reference's motion that the model must predict along some axis, for a motion to be used."""
 
 ODD, DOUBTFUL = 2.5, 1.5
-"""Scores beyond which there is something to explain, and beyond which an axis may have a part in it."""
+"""Scores above which there is something to explain, and above which an axis may be part of it."""
 
 _AXES = np.arange(3)
 
 
 @dataclass(frozen=True)
 class Response:
-    """`felt` and `reading` (p, 3): what the sensor should have shown along its axes and what it did show, less their
-    means; unit vectors where the attitude or the motion was all that changed.
+    """`felt` and `reading` (p, 3): the expected and the actual readings along the axes, less their means; unit vectors
+    if only the attitude or the motion changed.
     """
 
     felt: Floats
@@ -43,11 +43,11 @@ class Response:
 
     @property
     def error(self) -> Floats:
-        """(3, 3) E of reading = (1 + E) felt, row i of axis i; 0 for directions that were never felt."""
+        """(3, 3) E of reading = (1 + E) felt, with row i for axis i; 0 along directions without any force or motion."""
         return np.asarray(np.linalg.lstsq(self.felt, self.reading - self.felt, rcond=0.05)[0].T)
 
     def misfit(self, matrix: Floats) -> float:
-        """Return the sum of squares that `matrix` (3, 3) as the response leaves."""
+        """Return the sum of squares that the response `matrix` (3, 3) leaves."""
         return float(((self.reading - self.felt @ matrix.T) ** 2).sum())
 
 
@@ -60,13 +60,15 @@ def response(evidence: Evidence) -> Response | None:
 
 
 def size_of_score(evidence: Evidence, *probes: str) -> Floats:
-    """Absolute scores (3,) by these probes, or by the means on faces where the probes have no values."""
+    """Return the absolute scores (3,) of these probes, or of the means on faces if the probes have no values."""
     scored = [probe for probe in probes if np.isfinite(evidence.scores.get(probe, np.nan)).any()]
     return np.abs(evidence.score(*(scored or ["mean"])))
 
 
 def _of_faces(evidence: Evidence) -> Response | None:
-    """Return the same weight for each attitude, however often it was taken up. A gyroscope feels nothing at rest."""
+    """Return the response on faces, with the same weight for each attitude, however often it was recorded. None for a
+    gyroscope, which measures nothing at rest.
+    """
     if evidence.header.quantity == "angular_rate" or not any(evidence.fitted.rms):
         return None
     faces: dict[tuple[float, ...], list[Floats]] = {}
@@ -83,9 +85,9 @@ def _of_faces(evidence: Evidence) -> Response | None:
 
 
 def _of_motion(evidence: Evidence) -> Response | None:
-    """Shares of the reference's motion beside what the model makes of them, in the mean over phases; along an axis
-    about which the box hardly turned, or along which it hardly moved, both are small. If no phase tells them, as in
-    turns about single axes, those of all motions together.
+    """Return the shares of the reference's motion and the model's prediction of them, as means over phases. Both are
+    small along an axis about which the box hardly turned, or along which it hardly moved. If no phase determines them,
+    as in turns about single axes, the response to all motions together is used.
     """
     reading, felt = np.zeros((2, 3, 3))
     for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
@@ -98,20 +100,20 @@ def _of_motion(evidence: Evidence) -> Response | None:
 
 
 def turns_of(evidence: Evidence) -> list[Turn]:
-    """Return the turns of a gyroscope between attitudes that are known, without its bias."""
+    """Return the turns of a gyroscope between known attitudes, without its bias."""
     turns = [turn_of(phase.residual, phase.ups_box) for phase in evidence.phases if phase.ups_box is not None]
     return [turn for turn in turns if turn is not None]
 
 
 def response_to_all_motions(evidence: Evidence) -> Floats:
-    """Return (3, 3) response of the axes to the motions of all phases together, nan if these do not tell it."""
+    """Return (3, 3) response of the axes to the motions of all phases together; nan if these do not determine it."""
     crosses = [phase.cross for phase in evidence.phases if not phase.is_still and phase.cross is not None]
     return joint_gains(crosses, evidence.header.name)
 
 
 def _mean(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
-    """Return (3,) value and expectation, each phase by how well the axis is known in it: a turn about one axis knows
-    little of the others. nan for an axis that no phase knows.
+    """Return (3,) the mean value and expectation of a probe. Each phase is weighted by how well it determines the axis:
+    a turn about one axis hardly determines the others. nan for an axis that no phase determines.
     """
     if probe not in evidence.scores:
         return np.full(3, np.nan), np.full(3, np.nan)
@@ -131,11 +133,11 @@ _AXIS_PROBES = (
     *("motion_gain", "motion_along", "motion_next", "motion_after", "motion_across", "turn_factor"),
 )
 _BETTER_AXES = 0.4
-"""An exchange of axes leaves less than such a share of what the nominal axes leave: it is exact, or it is none."""
+"""Largest misfit of an exchange of axes, as a share of the misfit of the nominal axes: a true exchange is exact."""
 
 _CHANGED_AXIS = 0.01
-"""Cost of each axis that reads otherwise than nominal, as a share of what the nominal axes leave: an axis about which
-the box does not turn may keep its place.
+"""Cost of each axis that differs from nominal, as a share of the misfit of the nominal axes: an axis about which the
+box does not turn stays nominal.
 """
 
 _MOST_AXES = 3
@@ -145,15 +147,15 @@ _REVERSED = 0.5
 
 
 def guess_axis_error(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the signed permutations that fit best, left-handed ones too; where the box turns about a single axis,
-    which tells no axes apart, those that read its rotation with the wrong sign.
+    """Suggest the signed permutations that fit best, including left-handed ones. If the box turns about a single axis,
+    which does not distinguish the axes, suggest a reversal of those that read its rotation with the wrong sign.
     """
     if not evidence.is_odd(*_AXIS_PROBES):
         return
     matrices = np.array([np.eye(3), *exchanges().values()])
     if (measured := response(evidence)) is not None:
         nominal, *others = (measured.misfit(matrix) for matrix in matrices)
-    elif turns := turns_of(evidence):  # a reading is what the matrix makes of the rate, which its transpose makes of it
+    elif turns := turns_of(evidence):  # the matrix maps rates to readings, its transpose maps readings to rates
         nominal, *others = misses(turns, matrices.swapaxes(1, 2)).tolist()
     else:
         along, expected = _mean(evidence, "motion_along")
@@ -172,11 +174,11 @@ def guess_axis_error(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 _LARGEST_DEG = 45.0
-"""What leans further is nearer to another axis."""
+"""Largest angle of a misalignment in degrees: an axis that leans further is nearer to another axis."""
 
 
 def guess_misalignment(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the angles beside the diagonal of the response's error, where they stray beyond the population."""
+    """Suggest the angles of the off-diagonal errors of the response, on axes that deviate beyond the population."""
     score, measured_response = np.zeros((3, 3)), response(evidence)
     for step, way in enumerate(("next", "after"), start=1):
         score[_AXES, (_AXES + step) % 3] = size_of_score(evidence, f"force_{way}", f"motion_{way}", "motion_across")
@@ -191,31 +193,31 @@ def guess_misalignment(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 _LARGEST_ERROR = 0.9
-"""More than that isn't an error of scale."""
+"""Largest error of scale that is suggested."""
 
 _ALONG, _TURNS = "motion_along", "turn_factor"
 
 _RETURN, _FEWEST_VISITS = "force_return", 4
-"""The statistic of faces that are up again, and the fewest phases that show it: two faces, twice each."""
+"""The statistic of faces that are up again, and the fewest phases that determine it: two faces, twice each."""
 
 _AS_GOOD = 1.001
-"""Ratio of the squares that two moments leave up to which they are as good."""
+"""Ratio of the squares that two moments leave, up to which both fit equally well."""
 
 _LEAST_FACTOR = 0.3
-"""A smaller factor of the readings of turns is no error of scale."""
+"""Least factor of the readings of turns that is attributed to an error of scale."""
 
 _SMALLER = 0.8
-"""Largest error of the first part of a motion, as a share of that of the second, if it begins within the motion."""
+"""Largest error in the first part of a motion, as a share of that in the second, if it begins within the motion."""
 
 _LEAST_FELT = 0.3
-"""Least share of the force along an axis whose level tells a scale."""
+"""Least force along an axis whose level determines a scale, as a share of the largest force."""
 
 
 def guess_scale(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the diagonal of the response's error, on axes that stray beyond the population; and of an accelerometer
-    the error that makes a level's step within a log, on the axes that show it or on all, or by which faces differ the
-    next time that they are up. If the box always lies alike, such a step is that of a bias: a scale has to show in
-    motion or on several faces.
+    """Suggest the diagonal of the response's error, on axes that deviate beyond the population, and errors of rotation,
+    of turns and within a motion. For an accelerometer, also suggest the error that makes a step of the level within a
+    log, on the axes that show it or on all, and the error by which faces differ when they are up again. If the box
+    always has the same attitude, such a step is that of a bias: a scale must show in motion or on several faces.
     """
     if evidence.header.quantity == "specific_force":
         for step in level_steps(evidence):
@@ -240,8 +242,8 @@ def _scales(*errors: Floats) -> Iterator[Hypothesis]:
 
 
 def _scale_of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the share of motion that is lacking along each axis that strays, and along all axes alike, where the axes
-    cannot be told apart: in a rotation about a single axis.
+    """Suggest the missing share of motion along each axis that deviates, and the same share on all axes, because a
+    rotation about a single axis does not distinguish them.
     """
     score = size_of_score(evidence, _ALONG)
     if evidence.is_odd("motion_gain", beyond=ODD) or not (score > ODD).any():
@@ -253,7 +255,7 @@ def _scale_of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _scale_of_turns(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest what the turns from one rest to the next show, of the only gyroscope."""
+    """Suggest the scale by the turns from one rest to the next, for the only gyroscope."""
     score = np.abs(evidence.score(_TURNS))
     if evidence.others or not (score > ODD).any():
         return
@@ -268,8 +270,8 @@ def _scale_of_turns(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _scale_within_motion(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the error of the second part of a motion from some moment on, where the first part
-    shows a smaller one.
+    """Suggest the error of the second part of a motion, from some moment on, if the first part shows a smaller
+    error.
     """
     if _ALONG not in evidence.scores or _ALONG not in evidence.rows_of:
         return
@@ -311,9 +313,9 @@ def _scale_of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:
 
 
 def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a change of the response between two phases at rest, where faces differ from the last time on them: the
-    moment that leaves the least of the phases' means, less that of their face, and the change of the response then.
-    Between two faces on which the axis feels nothing no moment is better than another one: the middle is taken.
+    """Suggest a change of the response between two phases at rest, if faces differ from the previous time that they
+    were up: the moment and the change that leave the least of the phases' means, less the mean of their face. Between
+    two faces on which no force acts along the axis all moments fit equally well; the middle is used.
     """
     if not evidence.is_odd(_RETURN, beyond=ODD):
         return
@@ -341,8 +343,8 @@ def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _felt(evidence: Evidence, step: LevelStep) -> Floats:
-    """Return (3,) what the axes should read, without bias, in the phases at rest that reach into the step's last
-    stretch.
+    """Return (3,) the expected readings of the axes, without bias, in the phases at rest that reach into the step's
+    last stretch.
     """
     span = step.when.spans[-1]
     felt = [

@@ -1,4 +1,4 @@
-"""Effects of temperature: fits of levels over all phases at rest, each log and face about its own level."""
+"""Effects of temperature: fits of the levels over all phases at rest, less the mean level of each log and face."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _TRACES = (
     *("thermal_slope", "thermal_square", "thermal_change", "thermal_residual"),
     *("mean_halves", "wander", "mean_return", "mean", "allan_longest", "slow_own_axes", "slow_between_axes"),
 )
-"""Probes that move where a level doesn't follow the temperature in a straight line."""
+"""Probes that change if a level does not depend linearly on the temperature."""
 
 _BEYOND = 2.7
 _LEAST_DEGC = 1.0
-"""A smaller span of temperatures says nothing of a slope."""
+"""Least span of temperatures that determines a slope, in degC."""
 
 
 class _Fit(NamedTuple):
-    """(c, 3) coefficients and their standard errors, of columns for one axis each; 0 and infinite where one can't be
-    told from the others.
+    """(c, 3) coefficients of columns for one axis each, and their standard errors; 0 and infinite if the columns cannot
+    be distinguished.
     """
 
     coefficient: Floats
@@ -38,7 +38,7 @@ class _Fit(NamedTuple):
 
 
 def _warmth(table: Levels) -> Floats:
-    """Return (n,) degC above the temperature at which biases hold."""
+    """Return (n,) degC above the reference temperature of biases."""
     return np.asarray(table.degc - REFERENCE_DEGC)
 
 
@@ -48,8 +48,8 @@ def _is_warmed(table: Levels) -> bool:
 
 
 def _fit_levels(columns: Floats, values: Floats, group: Integers | None) -> _Fit:
-    """Return the least-squares fit of values (n, 3) by columns (n, c), both less the means of their groups (None: as
-    they are).
+    """Return the least-squares fit of values (n, 3) by columns (n, c), both less the means of their groups (None:
+    nothing is subtracted).
     """
     if group is not None:
         columns, values = centre(columns, group), centre(values, group)
@@ -66,12 +66,12 @@ def _fit_levels(columns: Floats, values: Floats, group: Integers | None) -> _Fit
 
 
 _CLEAR = 2.0
-"""A coefficient so many standard errors from 0 is one."""
+"""Standard errors from which on a coefficient differs from 0."""
 
 
 def guess_thermal_bias(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the quadratic term by least squares; a linear one where only the levels of several logs tell it, which
-    the base model doesn't fit.
+    """Suggest the quadratic term by least squares; or a linear term if only the levels of several logs determine it,
+    which the base model does not fit.
     """
     table = levels(evidence)
     if not len(table.degc) or not evidence.is_odd(*_TRACES, beyond=_BEYOND):
@@ -85,8 +85,8 @@ def guess_thermal_bias(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _squares(table: Levels) -> Iterator[Hypothesis]:
-    """Suggest quadratic terms with the slope that belongs to them: the fitted straight line follows the curve where the
-    sensor was warm, and would deviate from it there if the square were only added.
+    """Suggest quadratic terms with the slope that belongs to them: the fitted straight line follows the curve at the
+    temperatures of the recording, and a square that is merely added would deviate from it there.
     """
     warm = _warmth(table)
     fit = _fit_levels(np.stack([warm, warm**2], axis=1), table.mean, table.group)
@@ -105,7 +105,7 @@ def _slope_since(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _slope_between_logs(table: Levels) -> Iterator[Hypothesis]:
-    """Suggest a slope from levels on one face at several temperatures."""
+    """Suggest a slope by the levels on one face at several temperatures."""
     faces = np.unique(np.nan_to_num(table.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
     fit = _fit_levels(_warmth(table)[:, None], table.mean, faces)
     if fit.coefficient.any():
@@ -114,29 +114,29 @@ def _slope_between_logs(table: Levels) -> Iterator[Hypothesis]:
 
 _TRIED_LAGS = 30
 _GRID_STEPS = 2000
-"""Of a log, at which the reference is filtered."""
+"""Steps into which a log is divided to filter the reference temperature."""
 
 _CLEAR_LAG = 3.0
-"""By so many nats a lag has to fit better than none."""
+"""Nats by which a lag must fit better than no lag."""
 
 _CLEAR_PART = 8.0
-"""By so many nats a lagging part has to improve the fit of an axis: the best of thirty lags on three axes."""
+"""Nats by which a lagging part must improve the fit of an axis: it is the best of thirty lags on three axes."""
 
 _LAGS_APART = 3.0
 
 
 def guess_thermal_lag(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the time constant by which the lagged reference fits levels and the chip's own thermometer best; another
-    by the coefficient of dT/dt, which is slope times lag.
+    """Suggest the time constant with which the lagged reference fits the levels and the chip's own thermometer best,
+    and another by the coefficient of dT/dt, which is slope times lag.
     """
     for guess in with_removal(evidence, ThermalLag.name, _thermal_lag_hypotheses(evidence)):
         of_all = any(isinstance(effect, ThermalLag) and _concerns_all_axes(effect) for effect in guess.effects)
-        takes_place = bool(evidence.fitted.lag_s) and of_all  # the fitted lag is as long as is usual
+        takes_place = bool(evidence.fitted.lag_s) and of_all  # the fitted lag has its usual value
         yield replace(guess, removed=ThermalLag.name) if takes_place else guess
 
 
 def _concerns_all_axes(lag: ThermalLag) -> bool:
-    """Return whether the element lags, or a part of the bias of every axis."""
+    """Return whether the whole element lags, or a part of the bias of every axis."""
     return not any(lag.slope) or all(lag.slope)
 
 
@@ -157,10 +157,10 @@ def _thermal_lag_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_a_part(evidence: Evidence, table: Levels, lags: bool) -> Iterator[Hypothesis]:
-    """Suggest a lag of a part of the bias on the axes on which it is clear; the rest follows the temperature at once,
-    by another slope than was fitted without the lag. What the thermometer feels does not lag with it. Where all axes
-    lag, and the sensor `lags` beyond what is fitted, it may be the element, which needs fewer numbers, or a part of the
-    bias of each axis.
+    """Suggest a lag of a part of the bias on the axes on which it is clear. The rest follows the temperature at once,
+    with another slope than the fit without the lag. The thermometer does not lag with this part. If all axes lag, and
+    the sensor `lags` more than is fitted, either the element lags, which needs fewer parameters, or a part of the bias
+    of each axis.
     """
     times_s = _lags_s(table)
     gains = np.array([_gains_of_part(table, time_s) for time_s in times_s]).reshape(-1, 3)
@@ -172,7 +172,7 @@ def _of_a_part(evidence: Evidence, table: Levels, lags: bool) -> Iterator[Hypoth
         return
     warm, lagged_warm = _warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
     ordinary, mean = evidence.fitted, table.mean
-    if clear.all() and ordinary.lag_s:  # it takes the place of the lag that is fitted
+    if clear.all() and ordinary.lag_s:  # the part replaces the fitted lag
         mean = mean + np.outer(lagged(table, ordinary.lag_s) - table.degc, ordinary.slope)
     fit = _fit_levels(np.stack([lagged_warm, warm], axis=1), mean, table.group)
     slope, change = np.where(clear, fit.coefficient, 0.0)
@@ -188,8 +188,8 @@ def _of_a_part(evidence: Evidence, table: Levels, lags: bool) -> Iterator[Hypoth
 
 
 def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
-    """Return (3,) nats by which levels over the temperature and over the lagged one are explained better than over the
-    first alone.
+    """Return (3,) nats by which the temperature and the lagged temperature explain the levels better than the
+    temperature alone.
     """
     warm = centre(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
     squares, squares_with_part = (
@@ -200,13 +200,13 @@ def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
 
 
 def _lags_s(table: Levels) -> Floats:
-    """Return the time constants that are tried; none where no log lasts."""
+    """Return the time constants in s that are tried; none if no log has a duration."""
     span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
     return np.geomspace(span_s / _GRID_STEPS * 2, span_s, _TRIED_LAGS) if span_s > 0 else np.zeros(0)
 
 
 def _best_lag_s(table: Levels) -> float:
-    """0 if none is better than no lag."""
+    """Return the time constant in s that fits best; 0 if none is better than no lag."""
     times = _lags_s(table)
     if not len(times):
         return 0.0
@@ -216,8 +216,8 @@ def _best_lag_s(table: Levels) -> float:
 
 
 def lagged(table: Levels, time_constant_s: float) -> Floats:
-    """Return (n,) temperature of an element behind the reference, in equilibrium when its log begins."""
-    from scipy.signal import lfilter  # its weight is for those who ask
+    """Return (n,) temperature of an element that lags the reference and is in equilibrium when its log begins."""
+    from scipy.signal import lfilter  # imported only on use, because it is slow
 
     degc = np.empty_like(table.degc)
     for log in np.unique(table.log):
@@ -233,10 +233,12 @@ def lagged(table: Levels, time_constant_s: float) -> Floats:
 
 
 def _lag_misfit(table: Levels, degc: Floats) -> float:
-    """Negative log likelihood of levels, and of the thermometer if there is one, that follow this temperature."""
+    """Return the negative log likelihood of levels, and of the thermometer if there is one, that follow this
+    temperature.
+    """
     known = np.isfinite(table.thermometer)
     total = 0.0
-    # the base model took a straight line in the reference out: it goes back in
+    # the base model subtracted a straight line in the reference: the fit includes it again
     warm = centre(np.stack([degc, table.degc], axis=1), table.group)
     residuals = table.apart - warm @ np.linalg.lstsq(warm, table.apart, rcond=None)[0]
     total += len(residuals) / 2 * float(np.log((residuals**2).sum(axis=0) + 1e-30).sum())
@@ -249,16 +251,16 @@ def _lag_misfit(table: Levels, degc: Floats) -> float:
 
 
 def _lag_from_change(evidence: Evidence) -> float:
-    """y = slope (T - lag dT/dt): the axes' coefficients of dT/dt, weighted with their slopes."""
+    """Return the lag in s by y = slope (T - lag dT/dt): the axes' coefficients of dT/dt, weighted with their slopes."""
     slope = np.array(evidence.fitted.slope)
     change = evidence.typical("thermal_change")
     return float(-(change @ slope) / (slope @ slope)) if slope.any() else 0.0
 
 
 def guess_thermal_scale(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest, for an accelerometer, the part of the slope that has the sign of the force; on one face alone it
-    can't be distinguished from a slope of the bias, which is fitted, and there is no guess. The other guess is the
-    slope that makes the error of the scale at the temperature of the faces: no other experiment distinguishes the two.
+    """Suggest, for an accelerometer, the part of the slope that has the sign of the force. On a single face it cannot
+    be distinguished from a slope of the bias, which is fitted, and is not suggested. Also suggest the slope that
+    explains the error of the scale at the temperature of the faces: no other experiment distinguishes the two.
     """
     table = levels(evidence)
     if evidence.header.quantity != "specific_force" or not len(table.degc) or np.ptp(table.degc) < _LEAST_DEGC:
@@ -274,7 +276,9 @@ def guess_thermal_scale(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_scale(evidence: Evidence, table: Levels) -> Floats:
-    """Return (3,) error of the scale over how much warmer it was than at the reference; 0 where that says nothing."""
+    """Return (3,) the error of the scale divided by the warming of the faces above the reference temperature; 0 if it
+    is not determined.
+    """
     measured_response, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
     if measured_response is None or not known.any():
         return np.zeros(3)
@@ -287,7 +291,9 @@ def _by_scale(evidence: Evidence, table: Levels) -> Floats:
 
 
 def _scale_slope(table: Levels, axis: int) -> float:
-    """Return the slope by slopes within logs, or else by their levels; 0 if neither determines it."""
+    """Return the slope of the scale by the slopes within logs, or else by the levels of all; 0 if neither determines
+    it.
+    """
     known = np.isfinite(table.felt_g[:, axis])
     felt, warm, mean = table.felt_g[known, axis], _warmth(table)[known], table.mean[known, axis : axis + 1]
     if not known.any():

@@ -1,4 +1,4 @@
-"""Effects on the times of readings: lags behind the motion of the others, late, lost and repeated rows."""
+"""Effects on the times of readings: lags behind the motion of the other sensors; late, lost and repeated rows."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from imuarray.simulate.effects.readings import StaleSamples
 from imuarray.simulate.effects.timing import ClockError, DroppedSamples, Jitter, Skew
 
 ODD = 2.5
-"""Scores beyond which there is something to explain."""
+"""Score above which there is something to explain."""
 
 
 class Lag(NamedTuple):
-    """`lag_s` behind the others, `at_s` after the log's epoch, in a motion of mean period 2 pi / `pace`; `weight` is
-    how much moved.
+    """`lag_s` behind the other sensors, `at_s` after the log's epoch, in a motion of mean period 2 pi / `pace`;
+    `weight` is the amount of motion.
     """
 
     at_s: float
@@ -37,13 +37,13 @@ class Lag(NamedTuple):
 
     @property
     def is_large(self) -> bool:
-        """True if it may be any number of periods more or less."""
+        """True if the lag may be wrong by any number of periods."""
         return abs(self.lag_s * self.pace) > 1
 
 
 def odd_lags(evidence: Evidence) -> list[Lag]:
-    """Return the lag in each phase of motion, if the lags are odd, by themselves or because a sensor that is far behind
-    shares none of the motion.
+    """Return the lag in each phase of motion if the lags are odd: by themselves, or because a sensor that is far behind
+    shares none of the motion. Otherwise return [].
     """
     all_lags = list(lags(evidence))
     large = any(lag.is_large for lag in all_lags) and bool((evidence.score("motion_residual") > ODD).any())
@@ -56,8 +56,8 @@ def mean_of(lags_seen: Sequence[Lag], name: str) -> float:
 
 
 def lags(evidence: Evidence) -> Iterator[Lag]:
-    """Yield the lag in each phase of motion, averaged over the axes by their motion. The gain of an axis is that by its
-    own motion alone: a rotation about a single axis does not determine the response to each of three.
+    """Yield the lag in each phase of motion, averaged over the axes by their motion. The gain of an axis is computed
+    from its own motion alone: a rotation about a single axis does not determine the response of an axis to all three.
     """
     usual_s, share = _usual_of(evidence, "motion_delay", 0.0), _usual_of(evidence, "motion_along", 1.0)
     share = np.where(share > 0, share, np.nan)
@@ -74,7 +74,7 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
 
 
 def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
-    """Yield the phases in which the box moves, and what the sensor and others have in common there."""
+    """Yield the phases in which the box moves, with the cross products of the sensor and the others."""
     for phase in evidence.phases:
         cross = None if phase.is_still else phase.cross
         if cross is not None and any(item.name == evidence.header.name for item in cross.sensors):
@@ -87,7 +87,9 @@ def speed_squared(cross: Cross, sensor: str) -> Floats:
 
 
 def _pace(cross: Cross, sensor: str) -> tuple[Floats, Floats]:
-    """Return (3,) root of the mean square of change per second over that of the signal, 1/s, and the speed's square."""
+    """Return (3,) rms change per second relative to the rms of the signal, 1/s, and the mean square of the change per
+    second.
+    """
     speed = speed_squared(cross, sensor)
     square = np.diag(cross.fast)[cross.columns(sensor)]
     ratio = np.divide(speed, square, out=np.full(3, np.nan), where=(square > 0) & (speed > 0))
@@ -95,15 +97,15 @@ def _pace(cross: Cross, sensor: str) -> tuple[Floats, Floats]:
 
 
 def _usual_of(evidence: Evidence, probe: str, otherwise: float) -> Floats:
-    """Return (3,) what the model makes of a probe, in the median over phases."""
+    """Return (3,) the model's value of a probe, as the median over phases; `otherwise` without any."""
     rows = evidence.expected.get(probe, np.zeros((0, 3)))
     known = rows[np.isfinite(rows).all(axis=1)]
     return np.asarray(np.median(known, axis=0)) if len(known) else np.full(3, otherwise)
 
 
 def repeated_share(evidence: Evidence) -> float:
-    """Return probability that a row that would be new is a repetition, beyond what the model makes: the median over
-    phases; negative where repetitions are missing.
+    """Return the probability that a row that would be new is a repetition, beyond the model's, as the median over
+    phases; negative if repetitions are missing.
     """
     shares = [_share_of_repeats(phase.raw) for phase in evidence.phases if phase.raw.rows > phase.raw.repeats.longest]
     usual = _usual_shares(evidence)
@@ -112,8 +114,8 @@ def repeated_share(evidence: Evidence) -> float:
 
 
 def _share_of_repeats(summary: Summary) -> float:
-    """Return the share of rows that repeat the one before, without the longest run, which may be of
-    a chip that hung.
+    """Return the share of rows that repeat the one before, without the longest run, which may be due to a chip that
+    hung.
     """
     repeats = summary.repeats
     longest = repeats.longest - 1
@@ -121,7 +123,7 @@ def _share_of_repeats(summary: Summary) -> float:
 
 
 def _usual_shares(evidence: Evidence) -> Floats:
-    """Return the shares (m,) of rows that repeat the one before in what the model makes, where they are known."""
+    """Return the model's shares (m,) of rows that repeat the one before, where they are known."""
     expected = evidence.expected.get("repeats", np.zeros((0, 1)))
     return np.asarray(np.sin(expected[np.isfinite(expected)]) ** 2)
 
@@ -132,12 +134,12 @@ def repeated_rows(summaries: Iterable[Summary]) -> float:
 
 
 _HELD_ROWS = 3
-"""Equal rows, one after the other, up to which no chip has hung."""
+"""Largest number of equal successive rows that does not indicate a chip that hung."""
 
 
 def _share_of_rare_repeats(evidence: Evidence) -> float:
-    """Return the probability of a repetition, beyond what the model makes, over the rows of all phases without a run of
-    more than `_HELD_ROWS` equal rows.
+    """Return the probability of a repetition, beyond the model's, over the rows of all phases without a run of more
+    than `_HELD_ROWS` equal rows.
     """
     phases = [phase.raw for phase in evidence.phases if phase.raw.repeats.longest <= _HELD_ROWS]
     rows, usual = sum(phase.rows for phase in phases), _usual_shares(evidence)
@@ -147,22 +149,22 @@ def _share_of_rare_repeats(evidence: Evidence) -> float:
 
 _MOST_PPM = 2e5
 _FURTHER = (1.0, -1.0, 3.0, -3.0)
-"""Where a lag is so large that its sign and its periods can't be told."""
+"""Factors of a clock error that are tried if the lag is so large that its sign and period are not determined."""
 
 _FLOOR_S = 1e-3
-"""By so much lags of polled sensors scatter beside what their noise makes: readings are now older, now younger."""
+"""Scatter of the lags of polled sensors in addition to that of noise: the age of readings varies."""
 
 _TELLING = 10.0
-"""Nats that a rate, or its change, has to explain of the lags."""
+"""Nats of the lags that a rate, or its change, must explain."""
 
 _WARM_UPS = 24
 _SHORTEST_S, _FEWEST_LAGS = 2.0, 3
 
 
 def guess_clock_error(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a clock error by the growth of the lag from the log's epoch on; a sensor ahead has a positive error. The
-    host's clock has a constant rate, or one that settles. The lag at the epoch, which filters and the age of readings
-    make, does not count.
+    """Suggest a clock error by the growth of the lag from the log's epoch on; a sensor that is ahead has a positive
+    error. The host's clock has a constant rate, or a rate that settles. The lag at the epoch, which is due to filters
+    and to the age of readings, is not part of it.
     """
     yield from _clock_of_host(evidence)
     lags_seen = odd_lags(evidence)
@@ -178,8 +180,8 @@ def guess_clock_error(evidence: Evidence) -> Iterator[Hypothesis]:
 def _clock_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest an error of the host's clock, by which all sensors lag alike, polled or not.
 
-    Lags are of whole logs, and what they make of a phase shows where the motion begins or ends too soon for it: in
-    either part, or in one.
+    Lags are those of whole logs. A clock error also shows in a single phase, whose motion then begins or ends too soon:
+    in either part of the data, or in one of them.
     """
     host_lags = [lag for host in evidence.hosts for lag in host.lags]
     if len(host_lags) < _FEWEST_LAGS:
@@ -203,8 +205,8 @@ def _clock_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
 def _of_all_sensors(
     evidence: Evidence, clock: ClockError, free: tuple[str, ...], at_s: Floats, weight: Floats
 ) -> Iterator[Hypothesis]:
-    """Suggest the clock's error in all sensors. A delay that was fitted to the lags without it has the mean of what the
-    clock makes in it: then that is taken out again.
+    """Suggest the clock's error in all sensors. A delay that was fitted to the lags without the clock error includes
+    the mean lag of the clock. If a delay is fitted, also suggest the error with this mean subtracted.
     """
     yield Hypothesis((clock,), free, shared=True, everywhere=True, whole=True)
     if evidence.fitted.delay.stamp_s:
@@ -215,7 +217,7 @@ def _of_all_sensors(
 
 
 class _ClockFit(NamedTuple):
-    """`ppm` of the columns after the first, which is what the lag is at the epoch; `nats` that are left."""
+    """`ppm` of the columns after the first, which is the lag at the epoch; `nats` that remain."""
 
     ppm: tuple[float, ...]
     nats: float
@@ -230,7 +232,7 @@ def _settling(at_s: Floats, lag_s: Floats, weight: Floats, warm_up_s: float) -> 
 
 
 def _fit_lags(columns: list[Floats], lag_s: Floats, weight: Floats) -> _ClockFit:
-    """Fit the columns to the lag. A log whose clock is fast is behind, and its error is negative."""
+    """Fit the columns to the lag. A log whose clock is fast lags, and its error is negative."""
     design = np.stack(columns, axis=1) * weight[:, None]
     coefficients = np.linalg.lstsq(design, lag_s * weight, rcond=None)[0]
     residuals = lag_s * weight - design @ coefficients
@@ -238,13 +240,13 @@ def _fit_lags(columns: list[Floats], lag_s: Floats, weight: Floats) -> _ClockFit
 
 
 _RARITY_AHEAD = 6.0
-"""A reading may be old when it is stamped; one that is made after its stamp is rare. Of two sensors that differ the one
-behind is late, rather than the other one early.
+"""Nats by which a reading that is measured after its time stamp is rarer than one that is old when it is stamped. Of
+two sensors that differ, the one behind is late, rather than the other one early.
 """
 
 
 def guess_skew(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the mean lag; a large one also a period earlier or later."""
+    """Suggest the mean lag; if it is large, also a lag that differs by a period."""
     lags_seen = odd_lags(evidence)
     if not lags_seen:
         return
@@ -260,13 +262,13 @@ _LEAST_REPEATED, _MOST_LATE = 1e-4, 0.9
 
 _HOST_PROBES = ("repeats", "stale", "longest_repeat", "motion_residual", "motion_delay", "gaps", "lost", "interval")
 _RARITY_BEHIND = 3.0
-"""Nats by which a program waits more rarely between a transfer and its clock than before the transfer, of which each
-byte is one more occasion.
+"""Nats by which a wait between a transfer and the reading of the clock is rarer than a wait before the transfer: each
+byte of a transfer is another occasion to wait.
 """
 
 
 def guess_jitter(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the rms lateness that explains the residual variance by the speed at which readings change, and the share
+    """Suggest the rms lateness that explains the residual variance by the rate of change of the readings, and the share
     of late rows that explains both this and the repetitions.
     """
     if evidence.is_odd(*_HOST_PROBES):
@@ -280,7 +282,7 @@ def guess_jitter(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _jitter_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the waiting rows of the host, in every sensor that is read, before the transfer or behind it."""
+    """Suggest the rows for which the host waits, in every sensor, before the transfer or after it."""
     waits = sum(host.waits for host in evidence.hosts)
     if not waits and not any(host.missed for host in evidence.hosts):
         return
@@ -292,9 +294,9 @@ def _jitter_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterator[Hypothesis]:
-    """Guess the lateness of a chip of `rate_hz` that is read every `row_s` and repeats a share `repeated` of its
+    """Suggest the lateness of a chip of `rate_hz` that is read every `row_s` and repeats a share `repeated` of its
     readings. A reading is repeated if it is late by more than the time between rows less the elapsed part of a period.
-    Together with `rms_s` of all rows the share determines the mean lateness; without it, a row is assumed.
+    Together with `rms_s` of all rows the share determines the mean lateness; without it, one row is assumed.
     """
     if rate_hz <= 0:
         return
@@ -309,7 +311,7 @@ def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterato
 
 
 def _rms_s(evidence: Evidence) -> float:
-    """Rms lateness of all rows in s, from the residual of motion; 0 if there is no excess."""
+    """Return the rms lateness of all rows in s, by the residual of motion; 0 without an excess."""
     name, usual = evidence.header.name, _usual_variance(evidence)
     excess = speed = 0.0
     for _, cross in motions(evidence):
@@ -321,8 +323,8 @@ def _rms_s(evidence: Evidence) -> float:
 
 
 def _usual_variance(evidence: Evidence) -> Floats:
-    """Return (3,) what the model leaves of a window's mean in motion, squared units; the probe is relative to the
-    noise.
+    """Return (3,) the model's residual variance of a window's mean in motion, in squared units; the probe is relative
+    to the noise.
     """
     rows = evidence.expected["motion_residual"]
     known = rows[np.isfinite(rows).all(axis=1)]
@@ -333,8 +335,8 @@ _GAP_PROBES = ("gaps", "skips", "lost", "longest_interval", "irregularity", "int
 
 
 def guess_dropped_samples(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the share of rows lost, and how many at a time; and where they are few, just those that are missing,
-    since chance takes others, from other phases.
+    """Suggest the share of rows that are lost and the length of the losses. If the losses are few, also suggest exactly
+    those that the log reports, because a random process loses others, in other phases.
     """
     if not evidence.is_odd(*_GAP_PROBES):
         return
@@ -364,13 +366,13 @@ def _is_within(hole: Span, phase: PhaseEvidence) -> bool:
 
 
 def _known_losses(holes: Sequence[Span], evidence: Evidence) -> _Losses:
-    """Losses in the holes: other long intervals, such as stalls of the recorder, are no losses."""
+    """Return the losses in the holes. Other long intervals, such as stalls of the recorder, are not losses."""
     lost = np.maximum(np.rint(np.array([hole.length_s for hole in holes]) / _interval_s(evidence)), 1.0)
     return _Losses(len(lost), float(lost.sum()), float(lost.max()))
 
 
 def _losses_by_intervals(evidence: Evidence) -> _Losses:
-    """Losses by long intervals, flagged or not, and by the rows that are fewer than due."""
+    """Return the losses by long intervals, flagged or not, and by the number of rows that are missing."""
     summaries = [phase.raw for phase in evidence.phases if phase.raw.rows]
     interval_s = _interval_s(evidence)
     bursts = sum(max(summary.intervals.gaps, summary.flags["lost_before"]) for summary in summaries)
@@ -380,7 +382,7 @@ def _losses_by_intervals(evidence: Evidence) -> _Losses:
 
 
 def _rows_lost_alone(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest rows that the log reports as lost."""
+    """Suggest exactly the rows that the log reports as lost."""
     holes = evidence.holes
     if not 0 < len(holes) <= SINGLE:
         return
@@ -388,7 +390,7 @@ def _rows_lost_alone(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _interval_s(evidence: Evidence) -> float:
-    """Between rows of which none is lost: as the model has it, or else as most are."""
+    """Return the interval between rows if none is lost, in s: the model's, or else the mean one."""
     rows = evidence.expected.get("interval", np.zeros((0, 1)))
     known = rows[np.isfinite(rows)]
     return float(np.exp(np.median(known))) if len(known) else 1 / evidence.rows_per_s
@@ -396,19 +398,20 @@ def _interval_s(evidence: Evidence) -> float:
 
 _REPEATS = ("repeats", "stale", "longest_repeat")
 _NEAR_RATE = 0.15
-"""An oscillator's tolerance, and what is lost in telling repeats from chance."""
+"""Largest relative difference from an allowed rate: the oscillator's tolerance, and the error of the share of repeats.
+"""
 
 _LEAST_RATIO = 1e-3
 _FEW_ODD = 0.01
 _OSCILLATOR = 0.1
 _RARITY_OF_RATE, _RARITY_OF_CLOCK = 3.0, 1.0
-"""A rate to which the chip can't be set is rare; its oscillator is a tenth off at most. Of a chip that can't be set to
-any other there is no other way to a wrong rate.
+"""Nats of a rate to which the chip cannot be set, since its oscillator is off by a tenth at most; and of a wrong
+oscillator in a chip that can be set to no other rate, for which it is the only cause of a wrong rate.
 """
 
 
 def guess_odr_error(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest rates that the chip can be set to, or the one that is seen; bandwidths likewise."""
+    """Suggest rates to which the chip can be set, or the measured rate; likewise for bandwidths."""
     if evidence.is_odd(*_REPEATS):
         yield from _by_repeats(evidence)
     else:
@@ -420,8 +423,8 @@ def guess_odr_error(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_repeats(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Slower than the poll: new readings per second. Faster than configured, where repeats are missing: the two rates
-    next to the poll's, since what lies beyond isn't seen.
+    """Suggest a rate below the poll's by the number of new readings per second. If repeats are missing, the rate is
+    higher than configured: suggest the two rates next above the poll's, because higher ones cannot be distinguished.
     """
     rows_hz, allowed = evidence.rows_per_s, _rates_hz(evidence)
     repeated, configured_hz = repeated_share(evidence), evidence.header.rate_hz
@@ -433,7 +436,7 @@ def _by_repeats(evidence: Evidence) -> Iterator[Hypothesis]:
             yield Hypothesis((OdrError(rate),))
         is_setting = any(abs(real_hz / rate - 1) < _OSCILLATOR for rate in allowed)
         yield Hypothesis((OdrError(real_hz),), ("rate_hz",), rarity=0.0 if is_setting else _RARITY_OF_RATE)
-        if not is_setting and code_span(evidence.header).step != 1:  # what it is set to shows in its codes
+        if not is_setting and code_span(evidence.header).step != 1:  # the codes show which rate is set
             yield from _by_clock(evidence, real_hz)
     elif repeated < -_LEAST_RATIO:
         for rate in [rate for rate in allowed if rate >= rows_hz][:2]:
@@ -441,8 +444,9 @@ def _by_repeats(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_age(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Faster than the poll, so that no row repeats, and slower than configured: readings are half a period old. It is
-    set to a slower rate, or as it should be and its oscillator limps: then the codes are those of the set rate.
+    """Suggest a rate above the poll's, so that no row repeats, and below the configured one, so that readings are half
+    a period old. Either the chip is set to the slower rate, or its oscillator is slow: then the codes are those of the
+    configured rate.
     """
     lags_seen = odd_lags(evidence)
     if not lags_seen:
@@ -460,8 +464,8 @@ def _by_age(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Hypothesis]:
-    """Suggest readings at that rate by an oscillator that should make more; of a chip without a rate, simply at that
-    rate.
+    """Suggest this rate with an oscillator that is slower than nominal; for a chip without a configured rate, suggest
+    the rate itself.
     """
     configured_hz = evidence.header.rate_hz
     if not configured_hz:
@@ -472,7 +476,9 @@ def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Hypothesis]:
 
 
 def _by_even_codes(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest even codes, as from 1600 Hz on (ADX-47)."""
+    """Suggest another rate if codes are even, which they are from 1600 Hz on (ADX-47), or if even codes are expected
+    and do not occur.
+    """
     codes = [histogram for item in evidence.phases for histogram in item.raw.codes]
     odd = sum(int(histogram.counts[histogram.codes % 2 == 1].sum()) for histogram in codes)
     total = sum(int(histogram.counts.sum()) for histogram in codes)
@@ -487,7 +493,7 @@ def _by_even_codes(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_noise(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a bandwidth by the variance. Where the noise is fitted there is nothing to see."""
+    """Suggest a bandwidth by the variance. A noise that is fitted shows no difference."""
     header, spec = evidence.header, CHIPS.get(evidence.header.chip)
     ratio = math.exp(2 * float(np.median(evidence.typical("noise"))))
     if spec is None or not header.bandwidth_hz:
@@ -500,7 +506,7 @@ def _by_noise(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _rates_hz(evidence: Evidence) -> list[float]:
-    """Ascending, without the configured one."""
+    """Return the rates to which the chip can be set, ascending, without the configured one."""
     spec = CHIPS.get(evidence.header.chip)
     return sorted(rate for rate in (spec.rates_hz if spec else ()) if rate != evidence.header.rate_hz)
 
@@ -508,12 +514,12 @@ def _rates_hz(evidence: Evidence) -> list[float]:
 _STALE_PROBES = ("repeats", "repeats_in_all", "stale", "longest_repeat", "lag_1")
 _MOST_STALE = 0.95
 _FEWEST_BURSTS, _LEAST_BURST = 3, 1.5
-"""Fewest stretches of two and more repetitions that are bursts, and the least mean of rows of all repetitions."""
+"""Fewest stretches of two or more repetitions that are bursts, and the least mean number of rows of all repetitions."""
 
 
 def guess_stale_samples(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the share of repetitions beyond what the model makes, and bursts as long as they are on average. Where
-    most phases have none, it is the share in all of them together.
+    """Suggest the share of repetitions beyond the model's, and bursts of their mean length. If most phases have none,
+    the share is that of all phases together.
     """
     if not evidence.is_odd(*_STALE_PROBES):
         return
@@ -526,7 +532,7 @@ def guess_stale_samples(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _bursts(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest repetitions in bursts, by those of two rows and more, and by the rest of those that the model lacks."""
+    """Suggest repetitions in bursts, by those of two or more rows and by the single ones beyond the model's."""
     rows = sum(phase.raw.rows for phase in evidence.phases)
     repeated, usual = repeated_rows(phase.raw for phase in evidence.phases), _usual_shares(evidence)
     lacking = repeated - rows * float(np.median(usual)) if len(usual) else repeated
@@ -543,7 +549,7 @@ def _bursts(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _is_in_a_phase(evidence: Evidence, span: Span) -> bool:
-    """Return whether a span begins in one of the phases, which may be half of the log's."""
+    """Return whether a span begins in one of the phases; these may be half of the log's."""
     phases = [phase.raw.phase for phase in evidence.phases if phase.log == span.log]
     return any(phase.start_ns <= span.moment_s * 1e9 < phase.end_ns for phase in phases)
 

@@ -1,4 +1,6 @@
-"""Effects that change a bias slowly: sizes and times of processes by closed forms from Allan variances and levels."""
+"""Effects that change a bias slowly: amplitudes and times of processes, by Allan variances and levels in closed
+form.
+"""
 
 from __future__ import annotations
 
@@ -37,20 +39,21 @@ TRACES = (
     "slow_own_axes",
     "slow_between_axes",
 )
-"""Probes that a slow process moves."""
+"""Probes that change if a slow process is present."""
 
 BEYOND = 3.0
-"""A trace that far from what the model makes is followed up."""
+"""Deviation of a trace from the model, in standard scores, from which on a slow process is suggested."""
 
 SLOWEST = 5.0
-"""A process that is slower than so many phases is another bias in each boot; within one phase it is a random walk if it
-is slower than that."""
+"""Largest time constant, in lengths of phases. A slower process is another bias in each boot; within one phase, a
+process that is slower than the phase is a random walk.
+"""
 
 _FACTORS = 4
-"""Starts in an averaging time: terms that hang together."""
+"""Overlapping terms per averaging time in an Allan variance: they are correlated."""
 
 _NOT_WHITE = 0.1
-"""Relative error allowed to an Allan variance: a filter takes that from the shortest, which have most of the terms."""
+"""Relative model error of an Allan variance: a filter reduces the shortest ones, which have most of the terms."""
 
 _TIMES = 25
 _SLOWER = 4.0
@@ -58,8 +61,8 @@ _SLOWER = 4.0
 
 class Allan(NamedTuple):
     """Allan variances (o, 3) at averaging times (o,), in the sensor's unit squared, pooled over the phases at rest, and
-    how many independent terms each has (o,); `spread` (3,) the mean variance of segments' means in these, `length_s`
-    and number of the `phases`, for what is slower.
+    the number of independent terms of each (o,). For slower processes: `spread` (3,), the mean variance of the
+    segments' means within phases, with the mean length `length_s` and the number of the `phases`.
     """
 
     time_s: Floats
@@ -71,14 +74,16 @@ class Allan(NamedTuple):
 
 
 class Wander(NamedTuple):
-    """(3,) rms of a first-order Gauss-Markov process of this time constant."""
+    """(3,) rms of a first-order Gauss-Markov process with this time constant."""
 
     rms: Floats
     time_constant_s: float
 
 
 def allan_of(evidence: Evidence) -> Allan:
-    """Octaves with at least one independent term in all; less what follows the temperature as the model lets it."""
+    """Return the octaves with at least one independent term in all, less the part that follows the temperature in the
+    model.
+    """
     sums, terms = np.zeros((0, 3)), np.zeros(0)
     for phase in evidence.still:
         variance, count, _ = phase.raw.allan
@@ -99,8 +104,8 @@ def allan_of(evidence: Evidence) -> Allan:
 
 
 def _of_warming(phase: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats:
-    """Return (o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2
-    of a straight line (IEEE Std 952, Annex C).
+    """Return (o, 3) the Allan variance of a level that follows the temperature in the model, in counts squared: (rate
+    tau)^2 / 2 of a straight line (IEEE Std 952, Annex C).
     """
     time_s, level = phase.raw.segments.time_s, phase.raw.segments.mean - phase.residual.segments.mean
     known = np.isfinite(level).all(axis=1) & np.isfinite(time_s)
@@ -112,24 +117,24 @@ def _of_warming(phase: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats
 
 
 def gauss_markov(time_s: Floats, time_constant_s: float) -> Floats:
-    """Allan variance of a first-order Gauss-Markov process of variance 1 (IEEE Std 952, Annex C)."""
+    """Return the Allan variance of a first-order Gauss-Markov process of variance 1 (IEEE Std 952, Annex C)."""
     x = time_s / time_constant_s
-    small = 2 * x / 3 * (1 - 0.75 * x)  # the rest cancels to rounding
+    small = 2 * x / 3 * (1 - 0.75 * x)  # the other form loses all digits for small x
     whole = 2 / x * (1 - (3 - 4 * np.exp(-x) + np.exp(-2 * x)) / (2 * x))
     return np.asarray(np.where(x < 1e-3, small, whole))
 
 
 def within(length_s: float, time_constant_s: float) -> float:
-    """Return the variance about their mean of the values of such a process in a stretch: 1 - 2 (x -
-    1 + exp(-x)) / x^2.
+    """Return the variance, about their mean, of the values of a Gauss-Markov process of variance 1 in a stretch:
+    1 - 2 (x - 1 + exp(-x)) / x^2.
     """
     x = length_s / time_constant_s
     return x / 3 if x < 1e-3 else 1 - 2 * (x - 1 + float(np.exp(-x))) / x**2
 
 
 def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
-    """Return (3,) squared size of the process with this Allan variance (o,), and this variance in a phase, beside white
-    noise, and how badly both fit.
+    """Return (3,) the squared size of the process with the Allan variance `curve` (o,) and the variance `spread` in a
+    phase, fitted together with white noise, and the misfit of both.
     """
     sizes, misfit = np.zeros(3), 0.0
     white = np.append(allan.time_s[0] / allan.time_s, 0.0)
@@ -146,7 +151,7 @@ def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
 
 
 def wander_of(evidence: Evidence) -> Wander | None:
-    """Return the Gauss-Markov process that fits best, None where no phase is long enough to tell or none is there."""
+    """Return the Gauss-Markov process that fits best; None if no phase is long enough, or if no process is fitted."""
     allan = allan_of(evidence)
     if len(allan.time_s) < 4:
         return None
@@ -158,7 +163,9 @@ def wander_of(evidence: Evidence) -> Wander | None:
 
 
 def flicker_of(evidence: Evidence) -> BiasInstability | None:
-    """Flicker noise, of processes from one row to several phases, as large as the Allan variances say."""
+    """Return flicker noise, as processes with time constants from one row to several phases, with the size of the Allan
+    variances; None if they are too few or if the size is 0.
+    """
     allan = allan_of(evidence)
     if len(allan.time_s) < 4:
         return None
@@ -171,15 +178,17 @@ def flicker_of(evidence: Evidence) -> BiasInstability | None:
 
 
 def slower(evidence: Evidence, wander: Wander) -> Wander:
-    """One that is `_APART` times slower, and fits nearly as well; faster by its square, if phases are too short."""
+    """Return a process that is `_SLOWER` times slower and fits nearly as well; or `_SLOWER`^2 times faster, if phases
+    are too short.
+    """
     is_slow = wander.time_constant_s > longest_s(evidence)
     time_constant_s = wander.time_constant_s / (_SLOWER**2) if is_slow else _SLOWER * wander.time_constant_s
     return Wander(rms_at(evidence, time_constant_s), time_constant_s)
 
 
 def over_logs(evidence: Evidence) -> Wander | None:
-    """Logs' levels say how large it is, what goes on within them 2 rms^2 / time constant, how fast; None where these
-    don't wander, or there are less than three.
+    """Return the process whose rms is that of the logs' levels, with the time constant by which the change within logs
+    is 2 rms^2 / time constant; None if the levels do not wander, or if fewer than three logs are comparable.
     """
     _, means, errors = log_levels(levels(evidence))
     if len(means) < 3 or not evidence.is_odd("run_scatter", "run_spread", "mean", beyond=BEYOND):
@@ -194,19 +203,20 @@ def over_logs(evidence: Evidence) -> Wander | None:
 
 
 def rms_at(evidence: Evidence, time_constant_s: float) -> Floats:
-    """Return (3,) rms of a Gauss-Markov process of this time constant."""
+    """Return (3,) rms of a Gauss-Markov process with this time constant."""
     return np.asarray(np.sqrt(_gauss_markov_size(allan_of(evidence), time_constant_s)[0]))
 
 
 def longest_s(evidence: Evidence) -> float:
-    """Length of the longest phase at rest."""
+    """Return the length of the longest phase at rest in s; 1 without one."""
     phases = [item.raw.phase for item in evidence.still]
     return max((1e-9 * (phase.end_ns - phase.start_ns) for phase in phases), default=1.0)
 
 
 def sized(values: Floats, score: Floats) -> Iterator[Triple]:
-    """Sizes by axis: 0 where it is small and nothing shows, a little where something shows and the size is small; and
-    those of the axes alone on which something shows, as Allan variances of few terms have a size by chance.
+    """Yield sizes by axis: 0 if the size is small and nothing shows on the axis, at least a quarter of the largest size
+    if something shows. Also yield only those of the axes on which something shows, because Allan variances with few
+    terms have a size by chance.
     """
     largest = float(values.max())
     shows = np.abs(score) > BEYOND
@@ -222,8 +232,8 @@ def _gauss_markov_size(allan: Allan, time_constant_s: float) -> tuple[Floats, fl
 
 
 def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
-    """Return the mean over the phases at rest of the variance of segments' means less that of independent readings, at
-    least a tenth of it; the phases' mean length, and how many there are.
+    """Return the mean, over the phases at rest, of the variance of the segments' means less that of independent
+    readings, which is at least a tenth of the variance; the mean length of the phases, and their number.
     """
     variances, lengths = [], []
     for phase in evidence.still:
@@ -238,8 +248,8 @@ def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
 
 
 def guess_bias_instability(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the Gauss-Markov process that fits the Allan variances best; a slower one (a faster one, if it is slower
-    than phases are long); flicker noise; and a process as large as the logs' levels are apart, if these wander.
+    """Suggest the Gauss-Markov process that fits the Allan variances best; a slower one (a faster one, if the process
+    is slower than phases are long); flicker noise; and a process with the scatter of the logs' levels, if these wander.
     """
     if not evidence.is_odd(*TRACES, beyond=BEYOND) or (wander := wander_of(evidence)) is None:
         return
@@ -250,7 +260,7 @@ def guess_bias_instability(evidence: Evidence) -> Iterator[Hypothesis]:
     if (flicker := flicker_of(evidence)) is not None:
         for rms in sized(np.array(flicker.rms), score):
             yield Hypothesis((replace(flicker, rms=rms),), ("rms",))
-    if (of_logs := over_logs(evidence)) is not None:  # as large as the logs' levels are apart
+    if (of_logs := over_logs(evidence)) is not None:
         for rms in sized(of_logs.rms, score):
             yield _process(rms, of_logs.time_constant_s, SLOWEST * longest)
 
@@ -261,12 +271,12 @@ def _process(rms: Triple, time_constant_s: float, slowest_s: float) -> Hypothesi
 
 
 _WALKS_ALIKE = 2.0
-"""Levels that are farther apart by this factor than the Allan variances say make a guess of their own."""
+"""Ratio from which on the densities by levels and by Allan variances are suggested separately."""
 
 
 def guess_random_walk(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a density by the Allan variances, density^2 tau / 3, and by the differences of levels, density^2 t, if
-    that differs.
+    """Suggest the density by the Allan variances, density^2 tau / 3, and the density by the differences of levels,
+    density^2 t, if it is larger.
     """
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
@@ -281,7 +291,7 @@ def guess_random_walk(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _density_from_levels(evidence: Evidence) -> Floats:
-    """Return (3,) density from the first and last quarter of the segments of each log and face."""
+    """Return (3,) the density by the first and the last quarter of the segments of each log and face."""
     table, squares, seconds = levels(evidence), np.zeros(3), 0.0
     for at in table.groups():
         quarter = len(at) // 4
@@ -297,22 +307,23 @@ def _density_from_levels(evidence: Evidence) -> Floats:
 
 _FREE_POPCORN = ("amplitude", "switches_per_s")
 _SELDOM = 0.05
-"""The upper level is there so much of the time at the least, by a first guess."""
+"""Least share of time at the rarer level in a first guess."""
 
 _TELEGRAPH_RARITY = 2.0
-"""A drift without two clear levels is seldom a telegraph."""
+"""Nats by which popcorn noise is rarer than a drift, if two levels are not clear."""
 
 _FEWEST_JUMPS = 3.0
-"""Fewer jumps in the longest phase don't tell a telegraph from a slow drift."""
+"""Fewest jumps in the longest phase that distinguish popcorn noise from a slow drift."""
 
 _CLEAR_JUMP = 4.0
-"""A jump so many standard errors of a segment's mean high is one."""
+"""Least height of a jump, in standard errors of a segment's mean."""
 
 
 def guess_popcorn_noise(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the telegraph noise with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude /
-    2, one over its time constant = twice the switches a second), and a slower one; the same with one level more seldom
-    than the other, where segments lie to one side; another by the jumps themselves, where segments show them.
+    """Suggest popcorn noise with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude / 2,
+    the reciprocal of the time constant = twice the switches per second), and a slower one; the same with one level
+    rarer than the other, if the distribution of the segments is asymmetric; and another by the jumps themselves, if
+    segments show them.
     """
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
@@ -337,9 +348,9 @@ def guess_popcorn_noise(evidence: Evidence) -> Iterator[Hypothesis]:
 def _one_sided(
     evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
 ) -> Iterator[Hypothesis]:
-    """Suggest the share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1
-    - p)), on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches
-    a second over 2 p (1 - p). On each axis it lies to its own side.
+    """Suggest the share p of time at the rarer level by the skewness of the segments' means, (1 - 2 p) / sqrt(p (1 -
+    p)), on the axis that wanders most. The variance is amplitude^2 p (1 - p), and the reciprocal of the time constant
+    is the switches per second over 2 p (1 - p). The sign of the skewness of each axis is the sign of its amplitude.
     """
     level = levels(evidence)
     square = level.apart.var(axis=0) - level.square_error.mean(axis=0)
@@ -358,8 +369,8 @@ def _one_sided(
 
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:
-    """Return (3,) heights of the jumps and how many there are a second on an axis that has any; 0
-    where none is clear.
+    """Return (3,) heights of the jumps, 0 on an axis without a clear one, and their number per second on an axis that
+    has any.
     """
     table, amplitude, rates = levels(evidence), np.zeros(3), []
     for axis in range(3):
@@ -377,7 +388,9 @@ def _jumps(evidence: Evidence) -> tuple[Floats, float]:
 
 
 def _jumps_of_axis(mean: Floats, error: float) -> tuple[float, int]:
-    """Return how far the upper segments lie above the lower ones, and how often the level changes: only if by much."""
+    """Return the height of the upper segments above the lower ones, and how often the level changes; 0 unless the
+    height is clear.
+    """
     middle = (mean.max() + mean.min()) / 2
     upper = mean > middle
     if upper.all() or not upper.any():
@@ -397,26 +410,29 @@ _FOR_EVER_S = 1e6
 _LEAST_DEGC = 1.0
 _LEAST_SEGMENTS = 4
 _SPELLS = 4
-"""Most spells in which a common course is tried."""
+"""Largest number of spells in which a common mode is tried."""
 
 _PAIRED = 5.0
-"""Standard deviations by which two units have something in common that others needn't have."""
+"""Standard scores from which on two units have a common noise that the others need not share."""
 
 _LEAST_RATIO = 1.3
-"""Ratio of what two sensors have in common from which on it is tried with a size of its own in each."""
+"""Ratio of the sizes of a common noise in two sensors from which on it is tried with a size of its own in each."""
 
 _WHITE_S = 1e-3
-"""Time constant of what one reading has in common with another's, and not with the next: no unit is read as often."""
+"""Time constant in s of a noise that is common to simultaneous readings but not to successive ones: it is shorter than
+the sample period of any unit.
+"""
 
 _PERFECT = 0.999
 _TINY = 1e-30
 
 
 def guess_common_mode(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
-    and straight lines taken out; its time constant by that of the sensor's wander, in logs and between them, another
-    one slower; or all of this wander. Of two logs, what they differ by, constant within each: alone, and with what the
-    others don't share of it. What lasts within a log is tried in the spells of the sensor, too.
+    """Suggest common noise. Its size follows from the covariance with the other units of the chip, of slow means and of
+    faster ones, without the parts that depend linearly on temperature. Its time constant is that of the sensor's
+    wander, within logs and between them, or a slower one; or all of this wander is common. For two or three logs,
+    suggest the difference of their levels, constant within each: alone, and with the part that the others do not share.
+    Noise that changes within a log is also tried in the spells of the sensor.
     """
     always = list(_common_mode_hypotheses(evidence))
     during = [_in_spell(trial, spell, evidence) for spell in evidence.spells[:_SPELLS] for trial in always]
@@ -424,7 +440,9 @@ def guess_common_mode(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _in_spell(trial: Hypothesis, spell: Spell, evidence: Evidence) -> Hypothesis | None:
-    """Return the trial in a spell, the larger the less of the time that takes; None for what changes between logs."""
+    """Return the trial in a spell, with an rms that is larger the shorter the spell is; None for a change between
+    logs.
+    """
     share = sum(phase.raw.rows for phase in spell.phases) / max(sum(phase.raw.rows for phase in evidence.still), 1)
     if trial.needs_both or not 0 < share < 1:
         return None
@@ -466,14 +484,14 @@ def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
             )
     score = evidence.score(*TRACES)
     for process in (None if wander is None else slower(evidence, wander), over):
-        if process is not None:  # few values of a slow process are independent: a covariance says little
+        if process is not None:  # few values of a slow process are independent, so a covariance determines little
             for sizes in sized(process.rms, score):
                 yield Hypothesis((CommonMode(sizes, process.time_constant_s),), _FREE_COMMON, shared=True)
 
 
 class _Common(NamedTuple):
     """Covariances (3, 3) of two sensors, a row for each axis of the first one: of the means of windows within segments
-    (`fast`), whose standard scores follow, and of the means of segments (`slow`).
+    (`fast`), and of the means of segments (`slow`). `score` (3, 3): standard scores of `fast`.
     """
 
     fast: Floats
@@ -482,19 +500,19 @@ class _Common(NamedTuple):
 
     @property
     def own(self) -> float:
-        """Score of what the same axes have in common."""
+        """Score of the covariance of equal axes."""
         return float(np.trace(self.score) / math.sqrt(3))
 
     @property
     def across(self) -> float:
-        """Score of what each axis has in common with the other two."""
+        """Score of the covariance of each axis with the other two."""
         return float((self.score.sum() - np.trace(self.score)) / math.sqrt(6))
 
 
 def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the noise that some units have in common, from one reading to the next: those of any chip that measure
-    the same, with which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes
-    alike. A single partner may have more or less of it.
+    """Suggest noise that some units have in common, from one reading to the next or slower. The units are those of any
+    chip, of the same quantity, whose correlation with the sensor is more than chance, each pair tested by itself; axis
+    by axis, or the same on all axes. If there is a single partner, the sizes in both may differ.
     """
     pairs = [
         (phase, phase.cross)
@@ -546,15 +564,15 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _common_rms(covariance: Floats, shared: float) -> Triple:
-    """Return the sizes by axis of what two sensors have in common alike, by its covariances (3, 3)."""
+    """Return (3,) rms of a common noise that is equal in two sensors, by the covariances (3, 3) between them."""
     if shared:
         return triple(covariance.sum(axis=1).clip(0) / math.sqrt(max(float(covariance.sum()), _TINY)))
     return triple(np.sqrt(np.diag(covariance).clip(0)))
 
 
 def _common_rms_each(covariance: Floats, ratio: float) -> tuple[Triple, Triple]:
-    """Return the sizes by axis of one process in two sensors, of which the first has `ratio` times as much, by the
-    covariances (3, 3) between them: the best product of a column and a row.
+    """Return the rms by axis of one process in two sensors, of which the first has `ratio` times the size of the
+    second, by the covariances (3, 3) between them: the best product of a column and a row.
     """
     columns, values, rows = np.linalg.svd(covariance)
     sign = math.copysign(1.0, columns[:, 0].sum())
@@ -563,8 +581,8 @@ def _common_rms_each(covariance: Floats, ratio: float) -> tuple[Triple, Triple]:
 
 
 def _size_ratio(crosses: Sequence[Cross], sensor: str, partner: str) -> float:
-    """Return how much larger what two sensors have in common is in the first, by what the axes of each have in common
-    among themselves; 1 where one of them has nothing.
+    """Return the ratio of the sizes of a common noise in the first and the second sensor, by the covariances between
+    the axes of each; 1 if one of them has none.
     """
     own, other = (
         float(covariance.sum() - np.trace(covariance))
@@ -574,7 +592,7 @@ def _size_ratio(crosses: Sequence[Cross], sensor: str, partner: str) -> float:
 
 
 def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
-    """Return what two sensors have in common over the phases. The score of a correlation r of n windows is artanh(r)
+    """Return the covariances of two sensors over the phases. The score of a correlation r of n windows is artanh(r)
     sqrt(n).
     """
     fast, slow, scores, weights = [], [], [], []
@@ -595,7 +613,7 @@ def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
 
 
 def _common_times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:
-    """Return the time constants that are apart, by how the sensor itself wanders in logs, and between them."""
+    """Return the distinct time constants, in s, of the sensor's wander within logs and between them."""
     first_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
     times_s = [first_s, min(_TIMES_APART * first_s, 3 * longest_s(evidence))]
     if over is not None:
@@ -626,8 +644,8 @@ def _common_between_logs(evidence: Evidence) -> Iterator[Hypothesis]:
 def _common_variance(
     pairs: Sequence[tuple[PhaseEvidence, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
 ) -> Floats:
-    """Return (3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about
-    their means, show of a process of this time constant.
+    """Return (3,) the variance of a common process with this time constant: the mean covariance over phases and
+    partners, for each of the chips' own axes, divided by the share of the variance that phases show about their means.
     """
     covariances, shares, weights = [], [], []
     for phase, cross in pairs:
@@ -646,7 +664,7 @@ def _common_variance(
 
 
 def _slow_means(phase: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
-    """Return (s, 3) means less their mean, and less what follows the temperature if it changes."""
+    """Return (s, 3) means of segments less their mean, and less a straight line in the temperature if it changes."""
     means, part = cross.slow[:, cross.columns(sensor)], phase.raw.segments
     known, is_usable = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
     if not known.any() or not is_usable.any():
