@@ -120,7 +120,7 @@ def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) 
 
 
 class _Offer(NamedTuple):
-    """A confirmed trial for a unit, and its log odds against the other offers."""
+    """A confirmed trial for a unit, with its log odds, which are compared with those of the other offers."""
 
     unit: Unit
     evaluation: Evaluation
@@ -143,9 +143,9 @@ def _log_odds(round_: Round, evaluation: Evaluation) -> float:
 def _rank(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return the causes, the most probable first.
 
-    A cause that was detected with another cause of the same sensor in the model is no more probable than that one, and
-    is listed after it, because without it the cause would explain something else. This applies to all rivals of one
-    round.
+    If a cause was detected with another cause of the same sensor in the model, it is at most as probable as that one
+    and listed after it: without the other cause it would have to explain something else. This applies to all rivals of
+    one round.
     """
     limited: list[Cause] = []
     for cause in sorted(causes, key=lambda cause: cause.preceding):
@@ -262,8 +262,8 @@ def _cause(
 
 
 def _action(bench: Bench, trial: Hypothesis, sensors: Sequence[str]) -> Action:
-    """Return the change that a trial makes to the base model: an effect that this lacks is added, even if it replaces
-    one of its kind that an earlier round added.
+    """Return the change that a trial makes to the base model. An effect that the base model lacks is added, even if it
+    replaces another one of its kind that an earlier round added.
     """
     base = bench.base.effects(0)
     is_in_base = any(effect.name == trial.removed for name in sensors for effect in base[name])
@@ -276,8 +276,8 @@ def _changes(state: UnitState) -> int:
 
 
 def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
-    """Return a `thermal_bias` including the slope that is fitted to every sensor, since the added slope alone means
-    nothing to a user.
+    """Return the effect; a `thermal_bias` with the sensor's fitted slope included, since the added slope alone has no
+    meaning for a user.
     """
     if model is None or not isinstance(effect, ThermalBias) or effect.reference_degc != REFERENCE_DEGC:
         return effect
@@ -407,8 +407,9 @@ def with_origins(
 ) -> tuple[Cause, ...]:
     """Return the causes, with the origin "environment" for those in the environment of the box.
 
-    A `tone` is in the environment if the same line (`lines_of`) is in each of its sensors. A wander is if its sensors
-    share a stimulus of `environment_of` that explains at least half of it, along the axes in which most of it lies.
+    A `tone` is in the environment if the same line (`lines_of`) is in each of its sensors. A wander is in the
+    environment if its sensors share a stimulus of `environment_of` that explains at least half of it, along the axes in
+    which most of it lies.
     """
     lines = lines_of(causes, headers)
 

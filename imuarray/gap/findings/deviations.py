@@ -34,10 +34,10 @@ TWO_SIDED_95 = 1.96
 
 
 def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, seconds: float) -> float:
-    """Return the least difference of a statistic that matters, in its own unit.
+    """Return the least difference of a statistic that matters, in the statistic's unit.
 
-    `noise` (3,) of single readings in the sensor's unit, `rows_per_s` and `seconds` of the log. KeyError for a probe
-    without a rule.
+    `noise` (3,) is that of single readings in the sensor's unit, `rows_per_s` and `seconds` are the rate and the length
+    of the log. Raises KeyError for a probe without a rule.
     """
     axis_noise = float(noise["xyz".index(key.axis)]) if key.axis else float(np.sqrt(np.mean(np.square(noise))))
     return PROBES[key.probe].margin(SensorConditions(header, axis_noise, rows_per_s, seconds))
@@ -212,7 +212,7 @@ LINES = 4
 """Largest number of lines of a sensor that are listed."""
 
 _SEARCHED, _APART = 12, 8.0
-"""Number of peaks that are searched, and least distance in bins between two lines and of the lowest line from 0. A
+"""Number of peaks that are examined, and least distance in bins between two lines and of the lowest line from 0. A
 drifting line has several peaks, and a wandering bias has some near 0.
 """
 

@@ -80,7 +80,7 @@ _OF_A_GYROSCOPE: Mapping[Need, Need] = MappingProxyType({"faces": "turns", "warm
 """Needs of a gyroscope that differ from those of other sensors: it does not measure gravity, so faces show nothing."""
 
 _SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"})
-"""The effect from which an effect cannot be separated as long as no recorded experiment shows it."""
+"""For an effect, the other one from which it cannot be separated as long as no recorded experiment shows it."""
 
 _INSTEAD: Mapping[str, str] = MappingProxyType(
     {
@@ -172,7 +172,7 @@ def unobservable_effects(
 def uncertain_domains(
     scales: Floats, margins: Floats, keys: Sequence[Key], seconds: Floats | float, sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Return the domains and chips in which differences that matter can't be excluded.
+    """Return the domains and chips for which differences that matter can't be excluded.
 
     These have statistics with a 95 % interval, 1.96 of their `scales` (n,) of chance to either side, that is wider than
     their `margins` (n,); nan is ignored. `seconds` (n,), or one number, are the lengths of the logs of the statistics.

@@ -1,4 +1,4 @@
-"""Wrong labels: phases in which another axis was noted as up than the true one.
+"""Wrong labels: phases in which an axis other than the true one was noted as up.
 
 All accelerometers measure the same direction up, whatever their biases. If most of them contradict the label in the
 same way, the label is wrong and not the sensors. A single sensor that contradicts it has exchanged axes (`axis_error`).
@@ -236,7 +236,7 @@ class _LabelCheck(NamedTuple):
 
 def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) -> _LabelCheck:
     """Return the wrong labels if some sensors' axes are rotated by `turns` (3, 3) against the configuration. Faults are
-    these sensors, the wrong labels, and sensors that measure another face than the true one.
+    these sensors, the wrong labels, and sensors that measure a face other than the true one.
     """
     wrong, odd = [], set(turns)
     mountings = _known_mountings(noted)
@@ -256,7 +256,7 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
 
 
 def _known_mountings(noted: Sequence[_LabelledPhase]) -> set[str]:
-    """Return the sensors whose mounting is known: they agree with noted faces along two axes, and with more labels than
+    """Return the sensors with a known mounting: they agree with noted faces along two axes, and with more labels than
     they contradict.
     """
     agreed: dict[str, list[str]] = {}
@@ -277,8 +277,8 @@ def _known_mountings(noted: Sequence[_LabelledPhase]) -> set[str]:
 
 def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> float:
     """Return the number of faults if the labels are right and two sensors of one chip and sensitivity are read in each
-    other's place for a part of the time: these two, and other sensors that measure another face. Infinite without such
-    a pair.
+    other's place for a part of the time: these two, and other sensors that measure a face other than the noted one.
+    Infinite without such a pair.
     """
     names = dict.fromkeys(name for item in noted for name in item.readings_g)
     odd = {

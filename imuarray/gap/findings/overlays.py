@@ -178,7 +178,7 @@ def bands(replicates: Sequence[Floats]) -> Floats:
 
 
 def _simulate(bench: Bench, request: _CurveRequest) -> list[list[Floats]]:
-    """Return all curves in each replicate, with only their logs simulated."""
+    """Return all curves of each replicate; only the logs of these curves are simulated."""
     replicates = [(request.models, number) for number in request.numbers]
     campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in request.curves})
     return [

@@ -79,7 +79,7 @@ def _recipe(effect: Effect, header: SensorHeader) -> Recipe:
 
 
 def _about(bench: Bench, models: Models, model: Model | None, logs: Sequence[str]) -> str:
-    """Describe what was diagnosed from which logs."""
+    """Return a description of what was diagnosed from which logs."""
     kinds = " and ".join(f"{count} {kind}" for kind, count in Counter(bench.kinds).items())
     source = ", ".join(logs) or f"{kinds} {'log' if len(bench.kinds) == 1 else 'logs'}"
     changed_sensors = [

@@ -120,8 +120,8 @@ class DeviatingStatistics:
     def _interval(self, seed: int) -> Interval | None:
         """Return the interval over the draws that have a gap.
 
-        Chance adds 1 to a squared score in each draw. Without it, the interval of few blocks would be too narrow, and
-        that of a single block would have width 0.
+        Chance adds 1 to a squared score in each draw. Without this, the interval from few blocks would be too narrow,
+        and that from a single block would have width 0.
         """
         stream = np.random.default_rng(seed)
         blocks = list(_blocks(self.keys).values())
@@ -214,7 +214,7 @@ def _squares(scores: Floats) -> Floats:
 
 
 EXPLAINED, PARTLY = 0.9, 0.3
-"""Closed shares from which on a gap is explained, and partly explained. The true effect usually closes more than 0.9.
+"""Least closed shares of an explained gap, and of a partly explained one. The true effect usually closes more than 0.9.
 In all runs so far, of causes of one mechanism that closed 0.8 to 0.9, 6 were right and 11 wrong.
 """
 

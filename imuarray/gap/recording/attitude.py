@@ -17,12 +17,12 @@ from imuarray.arrays import Booleans, Floats
 from imuarray.log.format import Phase
 
 GROSS_G = 0.25
-"""Difference from the median of all accelerometers, in g on any axis in any pose, from which on an accelerometer is
-left out of the array's mean. Its range is wrong, its axes are exchanged, or the chip is dead.
+"""Difference from the median of all accelerometers, in g on any axis in any pose, above which an accelerometer is left
+out of the array's mean. Its range is wrong, its axes are exchanged, or the chip is dead.
 """
 
 _OFF_FACE_G = 0.5
-"""Difference from a noted face, in g, from which on axes are exchanged. A box on a noted face is never tilted by 30
+"""Difference from a noted face, in g, above which axes are exchanged. A box on a noted face is never tilted by 30
 degrees.
 """
 
@@ -61,8 +61,8 @@ def attitude_numbers(phases: Sequence[Phase]) -> list[int]:
 
 
 def shared_readings(attitudes: Sequence[Hashable], readings: Floats) -> Floats:
-    """Return the readings (k, s, 3) in k phases, with those of phases of the same attitude replaced by their mean; nan
-    where no such phase has a reading.
+    """Return the readings (k, s, 3) in k phases, with the readings in phases of one attitude replaced by their mean;
+    nan if none of these phases has a reading.
     """
     shared = readings.copy()
     for attitude in set(attitudes):
@@ -84,8 +84,8 @@ def _follows(before: Phase, phase: Phase) -> bool:
 
 
 class Ups(NamedTuple):
-    """Directions up `up_box` (k, 3) of length 1, (0, 0, 0) where nothing is measured, and `bias_g` (3,), common to the
-    array, box frame.
+    """Unit vectors `up_box` (k, 3) of the directions up, (0, 0, 0) where nothing was measured, and `bias_g` (3,), which
+    the array's accelerometers have in common; box frame.
     """
 
     up_box: Floats

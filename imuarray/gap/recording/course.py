@@ -50,18 +50,18 @@ logs.
 """
 
 _PARTLY_NATS = 10.0
-"""Log-likelihood ratio, in nats, by which a line in a stretch has to explain more than a line in the whole phase. The
-best of 2000 stretches of 64 windows gains 7 by chance.
+"""Least gain, in nats, of a line in a stretch over a line in the whole phase. The best of 2000 stretches of 64 windows
+gains 7 by chance.
 """
 
 _FINER = 4
-"""Number of frequencies in each bin of the spectrum at which a line is searched: a line between two bins would not add
-up in phase.
+"""Number of frequencies in each bin of the spectrum at which a line is looked for: a line between two bins would not
+add up in phase.
 """
 
 _MOST_LINE_ROWS = 1 << 20
-"""Largest number of rows of a phase in which a line is searched. The windows of a longer phase are long enough to show
-a faint line themselves.
+"""Largest number of rows of a phase in which a line is looked for. The windows of a longer phase are long enough to
+show a faint line themselves.
 """
 
 _LINE_NEIGHBOURS = 32
@@ -239,10 +239,11 @@ def _line(power: Floats) -> Floats:
 
 
 def changes(statistics: Floats, least: Floats) -> Iterator[ChangedWindows]:
-    """Yield the kinds of stretches of windows whose statistics (w, f) differ from the rest, in the order of detection.
+    """Yield the kinds of stretches of windows with statistics (w, f) that differ from the rest, in the order of
+    detection.
 
-    `least` (f,) is the least meaningful scatter. A statistic that does not scatter has no score: it does not if a
-    sensor is stuck for most of the time.
+    `least` (f,) is the least meaningful scatter. A statistic without scatter, such as that of a sensor that is stuck
+    for most of the time, has no score.
     """
     scatter = np.maximum(_scatter(statistics), least)
     scatter[scatter == 0] = np.inf

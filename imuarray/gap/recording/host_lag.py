@@ -100,7 +100,7 @@ def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near
 
 
 def _dips(values: Floats) -> Iterator[int]:
-    """Indices of the local minima."""
+    """Yield the indices of the local minima."""
     yield from (1 + np.flatnonzero((values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]))).tolist()
 
 
@@ -124,7 +124,7 @@ def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
 
 
 def track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
-    """Return the track's values (n, 3) of each quantity, SI, box axes."""
+    """Return the track's values (n, 3) of each quantity, in SI units along the box's axes."""
     felt = motion.felt(time_ns)
     return {
         "specific_force": np.asarray(felt.force_box, float),

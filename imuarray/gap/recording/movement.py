@@ -40,9 +40,9 @@ that is subtracted before they are compared.
 """
 
 _FAST_SHARE, _OVER_NOISE, _LEAST_NOISE, _SOME_ROWS = 0.5, 4.0, 0.3, 50_000
-"""A motion is a vibration if its change from row to row is at least this share of it and this multiple of the noise.
-Then the least noise, in counts, which is that of rounding, and the largest number of rows from which these are
-computed.
+"""A motion is a vibration if its change from row to row is at least the first value as a share of the motion and the
+second as a multiple of the noise. The third is the least noise, in counts, that of rounding. The fourth is the largest
+number of rows that are used.
 """
 
 _TURN_STEP_NS = 50_000_000

@@ -29,7 +29,7 @@ _FEWEST_EDGES = 4
 """Fewest edges of blocks, those of three blocks: with fewer, none can be quieter than the others."""
 
 _QUIETEST, _LOUDER = 0.1, 1.5
-"""Quantile of the variances of the blocks that is the noise of a box at rest, and the ratio to it from which on a block
+"""Quantile of the variances of the blocks that is the noise of a box at rest, and the ratio to it above which a block
 is restless. The ratio is larger if a variance is estimated from few rows.
 """
 

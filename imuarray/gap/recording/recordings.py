@@ -487,7 +487,7 @@ def _without_unknown_field(
 
 
 def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
-    """Return the timelines of all sensors, without the recorder's gaps."""
+    """Return the timelines of all sensors, with lost rows and delays of the host, and without the recorder's gaps."""
     steady: dict[str, Timeline] = {
         name: filled(log[name]) for name, timing in timings.items() if timing.kind != "bursts"
     }
@@ -517,5 +517,5 @@ def _refuse_other_configuration(first: SensorLog, other: SensorLog) -> None:
 
 
 def _with_comparable_thermometer(header: SensorHeader, is_compared: bool) -> SensorHeader:
-    """Return the header without a thermometer whose scale is unknown, or that can't be compared."""
+    """Return the header without its thermometer if the scale is unknown or the thermometer can't be compared."""
     return replace(header, has_temperature=is_compared and thermometer_of(header) is not None)

@@ -1,5 +1,5 @@
-"""Stretches of a recorded log in which a chip had lost its configuration, according to the recorder's flags: the row
-from which on the readings show it, and the readings before and in the stretch.
+"""Stretches of a recorded log in which a chip had lost its configuration, according to the recorder's flags: the first
+row that shows it, and the readings before and in the stretch.
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
 
 
 def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
-    """Return the index of the first of the readings (n, 3) within the stretch from which on all differ from those
-    before; None without one. If the median of the last readings does not differ, the last one alone is examined: a
-    short reset may show in one reading only.
+    """Return the index of the reading from which all readings (n, 3) within the stretch differ from those before it;
+    None without one. If the median of the last readings does not differ, the last one alone is examined: a short reset
+    may show in one reading only.
     """
     for last_rows in (_FEWEST // 2, 1) if len(inside) else ():
         last = np.median(inside[-last_rows:], axis=0) - level

@@ -223,8 +223,8 @@ def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:
 
 
 def _header_in(sensor: SensorLog) -> SensorHeader:
-    """Return the header of a triad in a log, with 1 count per unit where its sensitivity is unknown; ValueError for
-    another sensor.
+    """Return the header of a triad in a log, with 1 count per unit if its sensitivity is unknown. Raises ValueError for
+    a sensor that is not a triad.
     """
     if not sensor.is_triad:
         raise ValueError(f"{sensor.where}: {sensor.quantity} has no three axes")
