@@ -2,10 +2,10 @@
 explain.
 
 A cause is an effect that the search accepted. It has a probability and a list of the effects with which it can be
-confused. If all sensors measure the same signal along the box axes, the cause is in the environment and is not a sensor
-fault. A pull is a nuisance quantity of a part compared with its tolerance, and is listed with the causes that may
-explain it: it is fitted without the causes. For example, if a sensor measures in another range than configured, the fit
-makes its scale factor wrong, which is not a second finding.
+confused. A signal that many sensors measure along the same box axes is in the environment and is not a sensor fault. A
+pull is a nuisance quantity of a part compared with its tolerance, and is listed with the causes that may explain it: it
+is fitted without the causes. For example, if a sensor measures in another range than configured, the fit makes its
+scale factor wrong, which is not a second finding.
 """
 
 from __future__ import annotations
