@@ -1,4 +1,4 @@
-"""Summaries of all logs of an array that are diagnosed together, recorded or simulated."""
+"""Summaries of all logs of one array that are diagnosed together, recorded or simulated."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from imuarray.units import INERTIAL
 
 @dataclass(frozen=True)
 class Layout:
-    """The resolution at which a phase is summarised: the grid of every sensor and the common windows. Simulations take
-    that of the recorded phase.
+    """Resolution at which a phase is summarised: the grid of every sensor and the length of the common windows.
+    Simulations use the layout of the recorded phase.
     """
 
     grids: Mapping[str, Grid]
@@ -35,9 +35,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class PhaseSummary:
-    """Summary of one phase: its number in the log, a summary for each sensor, the moments that inertial sensors
-    have in common, or have with a track (None for fewer than two). A turn from one rest to the next, or a part of
-    it, has the directions up in the box's frame at its begin and end, `ups_box`, if they are known.
+    """Summary of one phase: its number in the log, a summary for each sensor, and `cross`, the joint moments of the
+    inertial sensors and, in motion, of a track (None for fewer than two). `ups_box` are the directions up in the box's
+    frame at the begin and end of a turn between two rests, or of a part of it; None at rest or if they are unknown.
     """
 
     phase: Phase
@@ -49,7 +49,7 @@ class PhaseSummary:
 
     @property
     def is_still(self) -> bool:
-        """True if the box is at rest in the phase, by its name."""
+        """True if the box is at rest in the phase, as its name says."""
         return is_at_rest(self.phase)
 
 
@@ -57,9 +57,9 @@ class PhaseSummary:
 class LogSummary:
     """Summary of one log.
 
-    `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` in order. Of a recorded log also the
-    `events` of single rows of each sensor and its `spells`: stretches in which a sensor reads differently from the
-    rest, each with the summary of the log in these stretches.
+    `kind` is the procedure (static, tumble, heating, turn-on, motion); `phases` are in order. A recorded log also has
+    the `events` in single rows of each sensor, and the `spells` of each sensor: stretches in which its readings differ
+    from those in the rest of the log, each with the summary of the log in these stretches.
     """
 
     kind: str
@@ -68,24 +68,22 @@ class LogSummary:
     spells: Mapping[str, tuple[tuple[Stretches, LogSummary], ...]] = field(default_factory=dict)
 
     def of(self, sensor: str) -> tuple[Summary, ...]:
-        """Return the sensor's phases."""
+        """Return the summaries of the sensor in all phases."""
         return tuple(part.sensors[sensor] for part in self.phases if sensor in part.sensors)
 
     def still(self, sensor: str) -> tuple[Summary, ...]:
-        """Return the sensor's phases at rest."""
+        """Return the summaries of the sensor in the phases at rest."""
         return tuple(part.sensors[sensor] for part in self.phases if part.is_still and sensor in part.sensors)
 
     def exchanged(self, first: str, second: str) -> LogSummary:
-        """Return the log with each of two sensors' rows under the name of the other; what sensors
-        have in common stays.
-        """
+        """Return the log with the rows of two sensors exchanged; the joint moments (`cross`) are not changed."""
         names = {first: second, second: first}
         phases = [replace(part, sensors=_rename_sensors(part.sensors, names)) for part in self.phases]
         return replace(self, phases=tuple(phases))
 
 
 def _rename_sensors(sensors: Mapping[str, Summary], names: Mapping[str, str]) -> dict[str, Summary]:
-    """Return the summaries under the names and with the headers of other sensors; sensors that lack a counterpart are
+    """Return the summaries with names and headers exchanged as `names` maps them; sensors without a counterpart are
     left out.
     """
     rows = {name: sensors[names.get(name, name)] for name in sensors if names.get(name, name) in sensors}
@@ -99,7 +97,7 @@ class Campaign:
     logs: tuple[LogSummary, ...]
 
     def series(self) -> dict[str, tuple[LogSummary, ...]]:
-        """Return the logs by kind, for kinds with several logs."""
+        """Return the logs of each kind that has several logs."""
         kinds = dict.fromkeys(log.kind for log in self.logs)
         by_kind = {kind: tuple(log for log in self.logs if log.kind == kind) for kind in kinds}
         return {kind: logs for kind, logs in by_kind.items() if len(logs) > 1}
@@ -112,8 +110,8 @@ def summarise_log(
     reference: LogReference,
     layouts: Sequence[Layout] | None = None,
 ) -> LogSummary:
-    """Summarise every triad in every phase, in one pass. `layouts`, one for each phase, are those of the log to
-    compare with.
+    """Summarise every sensor in every phase, in one pass. `layouts`, one for each phase, are those of the log that the
+    summary is compared with; None for a recorded log.
     """
     (summary,) = summarise_logs(kind, [sources], phases, reference, layouts)
     return summary
@@ -127,11 +125,11 @@ def summarise_logs(
     layouts: Sequence[Layout] | None = None,
     at_rest: Collection[str] | None = None,
 ) -> list[LogSummary]:
-    """Summarise several replicates of one log, which have the same sensors, as `summarise_log` does; in phases at rest
-    only the sensors `at_rest` (None: all).
+    """Summarise several replicates of one log with the same sensors, as `summarise_log` does; in phases at rest only
+    the sensors `at_rest` (None: all).
     """
     still = replicates if at_rest is None else [_select(sources, at_rest) for sources in replicates]
-    # while the box moves only its inertial sensors are summarised, since nobody knows the field
+    # in motion only inertial sensors are summarised, since the magnetic field along the path is unknown
     moving = [_select(sources, _inertial_in(sources)) for sources in replicates]
     by_phase = [
         _summarise_phase(
@@ -153,8 +151,8 @@ def _summarise_phase(
     reference: LogReference,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
-    """Summarise one phase of each replicate: short phases jointly, long ones one after the other, to bound the
-    memory.
+    """Summarise one phase of each replicate: short phases of several replicates jointly, long ones one replicate at a
+    time, to bound the memory.
     """
     survey = _PhaseSurvey(phase, number, reference, layout or layout_of(replicates[0], phase), layout is None)
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
@@ -178,7 +176,7 @@ def _inertial_in(sources: Mapping[str, Source]) -> Collection[str]:
 
 
 class _PhaseSurvey(NamedTuple):
-    """A phase that is summarised. Only of a `recorded` one more is computed than what statistics need."""
+    """A phase that is summarised. Quantities that no statistic needs are computed only if it is `recorded`."""
 
     phase: Phase
     number: int
@@ -187,7 +185,7 @@ class _PhaseSurvey(NamedTuple):
     recorded: bool
 
     def summarise_jointly(self, replicates: Sequence[Mapping[str, Source]]) -> list[PhaseSummary]:
-        """Summarise sensor by sensor, with replicates whose rows have the same times side by side."""
+        """Summarise sensor by sensor; replicates whose rows have the same times are processed together."""
         blocks = [
             {name: list(source.blocks(self.phase.start_ns, self.phase.end_ns)) for name, source in sources.items()}
             for sources in replicates
@@ -239,7 +237,7 @@ class _PhaseSurvey(NamedTuple):
     def _crosses(
         self, sources: Mapping[str, Source], blocks: Sequence[Mapping[str, Sequence[Block]]]
     ) -> Sequence[Cross | None]:
-        """Common moments of the inertial sensors in replicates whose blocks have the same times."""
+        """Return the joint moments of the inertial sensors in replicates whose blocks have the same times."""
         cross = self._cross_tally(sources, len(blocks))
         if cross is None:
             return [None] * len(blocks)
@@ -251,7 +249,9 @@ class _PhaseSurvey(NamedTuple):
         return cross.results()
 
     def _cross_tally(self, sources: Mapping[str, Source], replicates: int) -> CrossTally | None:
-        """Return the tally of what inertial sensors have in common with each other, and in motion with a track."""
+        """Return the tally of the joint moments of the inertial sensors and, in motion, of a track; None if there are
+        fewer than two of these.
+        """
         there = [source for source in sources.values() if source.rows(self.phase.start_ns, self.phase.end_ns)]
         headers = [source.header for source in there if source.header.quantity in INERTIAL]
         moves = not is_at_rest(self.phase)
@@ -285,8 +285,8 @@ def _have_same_times(first: Block, other: Block) -> bool:
 def _interleave(
     blocks: Mapping[str, Iterator[tuple[Block, ...]]], phase: Phase
 ) -> Iterator[tuple[str, tuple[Block, ...] | None]]:
-    """Yield the blocks of all sensors, None after a sensor's last: the sensor that is furthest behind in time comes
-    next, so that little has to be kept.
+    """Yield the blocks of all sensors, and None after the last block of each. The sensor that is furthest behind in
+    time comes next, so that few rows have to be kept.
     """
     waiting, reached = dict(blocks), dict.fromkeys(blocks, phase.start_ns)
     while waiting:
@@ -300,7 +300,7 @@ def _interleave(
 
 
 def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
-    """Return the layout for a phase: how finely it can be resolved."""
+    """Return the layout of a phase, from the number of rows of each sensor."""
     rows = {name: source.rows(phase.start_ns, phase.end_ns) for name, source in sources.items()}
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
     rates = [rows[name] / seconds for name, source in sources.items() if source.header.quantity in INERTIAL]
@@ -309,6 +309,8 @@ def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
 
 
 def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
-    """Return the runs of a sensor, each the first phase at rest of a log; None if it isn't in all logs."""
+    """Return the runs of a sensor, each from the first phase at rest of a log; None if a log has no such phase of the
+    sensor.
+    """
     phases = [log.still(sensor)[:1] for log in logs]
     return runs_of([phase for (phase,) in phases]) if all(phases) else None

@@ -1,4 +1,4 @@
-"""All statistics of a campaign under keys that say where they come from, in a fixed order."""
+"""All statistics of a campaign in a fixed order, each with a key that gives its origin."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from imuarray.gap.statistics.probes.probe import (
 from imuarray.gap.statistics.summary import Summary, side_by_side
 
 ALL_LOGS = -1
-"""Log number of a statistic of several logs; the kind of the logs takes the place of the phase's name, which is empty
-for all logs of the campaign.
+"""Log number of a statistic of several logs. Its phase name is the kind of the logs, or empty for a statistic of all
+logs of the campaign.
 """
 
 WHOLE_LOG = -1
-"""Phase number of a statistic of several phases; its phase's name is empty."""
+"""Phase number of a statistic of several phases."""
 
 AXES = ("x", "y", "z")
 
@@ -44,7 +44,7 @@ _OF_CAMPAIGNS = {name: probe for name, probe in PROBES.items() if isinstance(pro
 
 
 class Key(NamedTuple):
-    """The place, domain and probe of a statistic; `axis` is "" for the whole sensor."""
+    """Place, domain and probe of a statistic; `axis` is "" for a statistic of the whole sensor."""
 
     log: int
     sensor: str
@@ -57,8 +57,8 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of a campaign: `values` (n,) of the `keys`, nan where a probe has none, and the least meaningful
-    difference of each (`resolutions` (n,), 0 for any).
+    """Statistics of a campaign: `values` (n,) of the `keys`, nan where a probe has no value, and the least meaningful
+    difference of each, `resolutions` (n,), 0 if any difference is meaningful.
     """
 
     keys: tuple[Key, ...]
@@ -66,7 +66,7 @@ class Statistics:
     resolutions: Floats
 
     def __getitem__(self, key: Key) -> float:
-        """The value under a key; KeyError for another key."""
+        """The value of a key; KeyError for an unknown key."""
         return float(self.values[self._places[key]])
 
     @cached_property
@@ -75,7 +75,7 @@ class Statistics:
 
 
 class _Place(NamedTuple):
-    """The place of statistics, without their axes."""
+    """Place of the statistics of all axes."""
 
     log: int
     sensor: str
@@ -84,8 +84,8 @@ class _Place(NamedTuple):
 
 
 class _ProbeValues(NamedTuple):
-    """Values of one probe at one place: `values` (r, k) of r replicates on three axes or one, and their least
-    meaningful difference.
+    """Values of one probe at one place: `values` (r, k) of r replicates, with k = 3 axes or k = 1, and a function that
+    returns their least meaningful difference.
     """
 
     probe: str
@@ -94,14 +94,14 @@ class _ProbeValues(NamedTuple):
 
 
 class ReplicateStatistics(NamedTuple):
-    """Statistics of r replicates: `values` (r, n) under the `keys`."""
+    """Statistics of r replicates: `values` (r, n) of the n `keys`."""
 
     keys: tuple[Key, ...]
     values: Floats
 
 
 def statistics(campaign: Campaign) -> Statistics:
-    """Compute every probe wherever it applies: phase by phase, log by log, the logs of one kind together, then all."""
+    """Compute every probe wherever it applies: for each phase, each log, the logs of each kind, and all logs."""
     by_place = list(_by_place([campaign]))
     keys, (values,) = _table(by_place, 1)
     least = [np.full(probe.values.shape[1], probe.resolution()) for _, several in by_place for probe in several]
@@ -109,7 +109,7 @@ def statistics(campaign: Campaign) -> Statistics:
 
 
 def replicate_statistics(campaigns: Sequence[Campaign], sensors: Collection[str]) -> ReplicateStatistics:
-    """Compute the statistics of some sensors in several replicates that were summarised in the same way."""
+    """Compute the statistics of the given sensors in several replicates that were summarised with the same layouts."""
     return _table(_by_place(campaigns, sensors), len(campaigns))
 
 
@@ -127,7 +127,7 @@ def _table(by_place: Iterable[tuple[_Place, list[_ProbeValues]]], replicates: in
 
 @lru_cache(maxsize=1 << 12)
 def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tuple[Key, ...]:
-    """Return the keys of probes at one place, the same for every replicate."""
+    """Return the keys of probes at one place, which are the same for every replicate."""
     log, sensor, phase, number = place
     return tuple(
         Key(log, sensor, axis, phase, number, PROBES[probe].domain, probe)
@@ -139,7 +139,7 @@ def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tup
 def _by_place(
     campaigns: Sequence[Campaign], sensors: Collection[str] | None = None
 ) -> Iterator[tuple[_Place, list[_ProbeValues]]]:
-    """Yield values of all probes in replicates of one campaign, place by place."""
+    """Yield the values of all probes in replicates of one campaign, place by place."""
     logs = zip(*(campaign.logs for campaign in campaigns), strict=True)
     for number, replicates in enumerate(logs):
         for phases in zip(*(log.phases for log in replicates), strict=True):
@@ -156,14 +156,14 @@ def _by_place(
 
 
 def _sensors(phases: Sequence[PhaseSummary], only: Collection[str] | None) -> list[str]:
-    """Return the sensors of these phases that are wanted, each once."""
+    """Return the sensors of these phases without repetition, restricted to `only` unless it is None."""
     there = dict.fromkeys(sensor for phase in phases for sensor in phase.sensors)
     return [sensor for sensor in there if only is None or sensor in only]
 
 
 def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) -> dict[str, list[_ProbeValues]]:
-    """Return values of the probes of a phase by sensor. One probe of all sensors after the other is faster than one
-    sensor after the other.
+    """Return the values of the probes of a phase by sensor. The outer loop is over probes, which is faster than over
+    sensors.
     """
     first = replicates[0]
     sensors = _sensors([first], only)
@@ -185,7 +185,7 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
 
 
 def _group(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
-    """Return replicates whose rows have the same times, as places and their joint summary."""
+    """Group replicates whose rows have the same times; return the places and the joint summary of each group."""
     sets: dict[tuple[int, bytes, bytes], list[int]] = {}
     for at, summary in enumerate(replicates):
         part = summary.segments
@@ -196,8 +196,8 @@ def _group(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
 def _by_phase(
     probe: PhaseProbe, replicates: Sequence[Summary], together: Sequence[tuple[list[int], Summary]]
 ) -> Floats:
-    """Return values (r, k) of a probe in each replicate, at once for those that are grouped, where the probe works
-    column by column.
+    """Return the values (r, k) of a probe in each replicate; if the probe works column by column, each group of
+    replicates is computed at once.
     """
     if not probe.by_column:
         return _rows([probe.statistic(summary) for summary in replicates])
@@ -226,7 +226,7 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
 
 def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[_ProbeValues]:
     runs = [replicate_runs for logs in replicates if (replicate_runs := runs_in(logs, sensor)) is not None]
-    if not runs or runs[0].header.quantity == "magnetic_field":  # nobody knows the field of another day
+    if not runs or runs[0].header.quantity == "magnetic_field":  # the field of another day is unknown
         return []
     return [
         _ProbeValues(name, _rows([probe.statistic(of_replicate) for of_replicate in runs]), _any_difference)
@@ -243,7 +243,7 @@ def _of_campaign(replicates: Sequence[Campaign], sensor: str) -> list[_ProbeValu
 
 
 def _rows(values: Sequence[Floats]) -> Floats:
-    """Return values of r replicates on three axes or one as a table (r, k)."""
+    """Return the values of r replicates as a table (r, k), with k = 3 axes or k = 1."""
     return np.array(values).reshape(len(values), -1)
 
 

@@ -1,15 +1,16 @@
-"""Stimuli that the box itself felt at rest, such as a tilting table or a vibration, separated from sensor errors.
+"""Stimuli of the box itself at rest, for example a tilting table or a vibration, separated from sensor errors.
 
-Sensors of different chips have only the box in common, and those of one chip at most an error of their design along
-their own axes. Sensors are grouped for each axis of the box: the same chip with the same own axis in the same
-direction. Whatever their errors, group means turned into the box are independent, or (a chip's own error, mounted
-either way) opposed; a signal that all groups share is a stimulus.
+Sensors of different chip types have only the box in common, and those of one chip type at most an error of their design
+along their own axes. For each axis of the box, sensors of the same chip type are grouped whose same own axis points in
+the same direction. Group means rotated into the box's axes then have independent errors, or opposed ones if an error of
+one design is mounted in both directions; a signal that all groups share is a stimulus.
 
-Two paces are tested. Slow means are decomposed into waves over the phase, of which those above the noise are kept. In
-each wave the groups' amplitudes are a vector that without a stimulus points in any direction, so that the square of its
-cosine with (1, ..., 1) has a beta distribution whatever the spectrum of the wander. Faster signals are tested by
-correlations, whose Fisher's z are normal; those of one chip alone are not used, since a line of its design is in all of
-its units, in some of them by chance in phase.
+Slow and fast signals are tested separately. Slow means are decomposed into cosine waves over the phase, and the waves
+above the noise are kept. The amplitudes of the groups in one wave are a vector. Without a stimulus it has a random
+direction, so that the square of its cosine with (1, ..., 1) has a beta distribution whatever the spectrum of the
+wander. Fast signals are tested by correlations, whose Fisher's z are normal. Sensors of only one chip type are not
+tested for fast signals, since a spectral line of the design is present in all of its units and is in phase in some of
+them by chance.
 """
 
 from __future__ import annotations
@@ -32,17 +33,19 @@ from imuarray.units import INERTIAL
 Pace = Literal["slow", "fast"]
 
 LEVEL = 0.01
-"""Share of campaigns without a stimulus in which one is reported, over all phases, axes and paces (Bonferroni)."""
+"""Significance level: share of campaigns without a stimulus in which one is reported, over all phases, axes and paces
+(Bonferroni correction).
+"""
 
 AMPLITUDE_RATIO = 1.5
-"""Largest ratio of amplitudes of one stimulus: chips differ in bandwidth and scale."""
+"""Largest ratio between the amplitudes of one stimulus in two groups, since chips differ in bandwidth and scale."""
 
 LEAST_COMMON_SHARE = 0.5
-"""Least share of the slow variance that is common."""
+"""Least correlation between groups, as a share of the slow variance, at which a slow signal is reported."""
 
 _STANDS_OUT = 6.0
-"""Power of a wave over the median from which on it is more than white noise, which exceeds it once in sixty (two
-groups).
+"""Ratio of the power of a wave to the median power from which on the wave is considered above white noise. With two
+groups one wave of white noise in sixty exceeds it.
 """
 
 _LEAST_SEGMENTS = 16
@@ -51,7 +54,7 @@ _STEADY_DEGC = 1e-6
 
 
 class Group(NamedTuple):
-    """Sensors of one chip whose own axis `axis` points along the box axis, `sign` 1.0, or against it, -1.0."""
+    """Sensors of one chip type whose own axis `axis` points along the box axis (`sign` 1.0) or against it (-1.0)."""
 
     sensors: tuple[str, ...]
     axis: int
@@ -63,8 +66,8 @@ class SharedSignal:
     """Signal that all groups of sensors of one quantity share along a box axis ("X", "Y", "Z") in a phase of log number
     `log`.
 
-    `correlation` between two groups (slow: of the waves above the noise), `p` of its occurring by chance, not corrected
-    for the number of tests.
+    `correlation`: mean correlation between two groups (slow: of the waves above the noise). `p`: probability that it
+    occurs by chance, not corrected for the number of tests.
     """
 
     log: int
@@ -78,11 +81,11 @@ class SharedSignal:
 
 
 def environment_of(campaign: Campaign, level: float = LEVEL) -> tuple[SharedSignal, ...]:
-    """Detect stimuli of the box in the phases at rest, the least probable by chance first.
+    """Detect stimuli of the box in the phases at rest, in ascending order of p.
 
-    Signals that follow the reference temperature, or the chips' thermometers if there is no reference, are no stimulus:
-    each sensor has a slope of its own. An error with another common cause, such as the supply, can be mistaken for a
-    stimulus if it has the same size and sign along the box in all sensors.
+    Signals that follow the reference temperature, or the chips' thermometers if there is no reference, are removed from
+    slow signals, since each sensor has its own temperature coefficient. An error with another common cause, for example
+    the supply, can be mistaken for a stimulus if it has the same size and sign along the box in all sensors.
     """
     tests = [
         test
@@ -107,11 +110,12 @@ def groups_of(sensors: Sequence[SensorHeader], quantity: str, axis: int) -> tupl
 
 
 def slow_test(means: Floats) -> tuple[float, float]:
-    """Return the correlation between groups of what is not noise, and its p, from group means (s, c) over time.
+    """Return the correlation between groups of the signal above the noise, and its p, from group means (s, c) over
+    time.
 
-    Wander and drift are tested separately, p is twice the smaller one. Wander is the residual of a straight line, a
-    parabola and a logarithm of time, tested by `wander_test`; drift is the vector of these three, since every sensor
-    that warms up or creeps has the same shape and only its size is random.
+    Wander and drift are tested separately; p is twice the smaller one. Drift is the fit of a straight line, a parabola
+    and a logarithm of time; the three are tested as one vector, since all sensors that warm up or creep have the same
+    shape and only their sizes are random. Wander is the residual of this fit, tested by `wander_test`.
     """
     time = (np.arange(len(means)) + 0.5) / len(means)
     smooth = np.stack([np.ones_like(time), time, time**2, np.log(1 + len(means) * time)], axis=1)
@@ -124,10 +128,10 @@ def slow_test(means: Floats) -> tuple[float, float]:
 
 def wander_test(means: Floats) -> tuple[float, float]:
     """Return the correlation between groups of the waves above the noise, and its p, from group means (s, c) without
-    drift; (0, 1) if there are no such waves.
+    drift; (0, 1) if no wave is above the noise.
 
-    The p of each wave is uniform if all groups wander equally, and small ones are rarer otherwise. They are combined by
-    Fisher's sum of logs.
+    The p of each wave is uniformly distributed if all groups wander equally; otherwise small values are rarer. They are
+    combined by Fisher's method (sum of logs).
     """
     waves = dct(means - means.mean(axis=0), type=2, norm="ortho", axis=0)[1:]
     power = (waves**2).sum(axis=1)
@@ -140,8 +144,8 @@ def wander_test(means: Floats) -> tuple[float, float]:
 
 
 def _alignment_test(vectors: Floats) -> tuple[float, float]:
-    """Return the correlation between groups from their amplitudes (k, c), and the probability that a single random
-    vector is so nearly parallel to (1, ..., 1).
+    """Return the correlation between groups from their amplitudes (k, c), and the probability that a single vector of
+    random direction is at least as nearly parallel to (1, ..., 1).
     """
     groups = vectors.shape[1]
     power = float((vectors**2).sum())
@@ -153,7 +157,8 @@ def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
     """Return the mean correlation of the groups and its p, from the covariance (c, c) of group means and the effective
     number of `rows` (c, c) of each pair.
 
-    Covariances that differ are no common stimulus and have p = 1.
+    p is 1 if the mean covariance is not positive, or if the covariances of pairs differ by more than `AMPLITUDE_RATIO`
+    and noise allow: a common stimulus has nearly the same amplitude in all groups.
     """
     size = np.sqrt(np.diag(covariance))
     first, second = np.triu_indices(len(covariance), 1)
@@ -170,7 +175,7 @@ def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
 
 
 def _in_phase(log: int, part: PhaseSummary, cross: Cross) -> Iterator[tuple[SharedSignal, bool]]:
-    """Yield all tests of a phase, each with whether the signal is large enough to be reported."""
+    """Yield the signals of all tests of a phase, and for each whether it is large enough to be reported."""
     slow = _slow(part, cross)
     for quantity in INERTIAL:
         for axis in range(3):
@@ -193,7 +198,7 @@ def _in_phase(log: int, part: PhaseSummary, cross: Cross) -> Iterator[tuple[Shar
 
 
 def _group_weights(cross: Cross, groups: Sequence[Group]) -> Floats:
-    """Matrix (c, p) that turns the columns of a cross into group means along the box."""
+    """Return the matrix (c, p) that converts the columns of a `Cross` to group means along the box axis."""
     weights = np.zeros((len(groups), len(cross.fast)))
     for place, group in enumerate(groups):
         for name in group.sensors:
@@ -202,11 +207,12 @@ def _group_weights(cross: Cross, groups: Sequence[Group]) -> Floats:
 
 
 def _rows(cross: Cross, turn: Floats) -> Floats:
-    """Effective number of windows (c, c) of each pair of groups, as neighbours are correlated.
+    """Return the effective number of windows (c, c) for each pair of groups, which is reduced because neighbouring
+    windows are correlated.
 
-    By Bartlett (1935) a pair counts 1 + 2 sum(r_k s_k) times less, if the correlations r_k, s_k over k windows last
-    through a segment as they do over two windows, which follows from the changes. This is the upper limit of white
-    noise on a slow wander.
+    By Bartlett (1935) the number for a pair is divided by 1 + 2 sum(r_k s_k), where r_k, s_k are the autocorrelations
+    at a lag of k windows. They are assumed to keep the value at two windows, which follows from the changes, through
+    the whole segment. This is the largest divisor for white noise on a slow wander.
     """
     variance, changes = (np.diag(turn @ moments @ turn.T) for moments in (cross.fast, cross.changes))
     next_but_one = np.clip(1 - 2 * changes / variance, 0.0, 1.0)
@@ -216,7 +222,7 @@ def _rows(cross: Cross, turn: Floats) -> Floats:
 
 
 def _slow(part: PhaseSummary, cross: Cross) -> Floats:
-    """Segments' means (s, p) without the part that follows the temperature."""
+    """Return the segments' means (s, p) less their regression on the temperature."""
     means = cross.slow
     is_known = np.isfinite(means).all(axis=1)
     warm = _temperatures(part, len(means))[is_known]
@@ -225,8 +231,8 @@ def _slow(part: PhaseSummary, cross: Cross) -> Floats:
 
 
 def _temperatures(part: PhaseSummary, count: int) -> Floats:
-    """Return temperatures (count, k): the reference and its change, or the chips' thermometers if the reference is
-    constant or missing.
+    """Return normalised temperatures (count, k): the reference and its derivative, or the chips' thermometers if the
+    reference is constant or missing.
     """
     columns = _normalise(part.sensors, "temperature_degc", count)[:1]
     if columns and count > 1:
@@ -237,8 +243,8 @@ def _temperatures(part: PhaseSummary, count: int) -> Floats:
 
 
 def _normalise(sensors: Mapping[str, Summary], name: str, count: int) -> list[Floats]:
-    """Return the varying ones of the sensors' values of this name, at `count` equal parts of the phase, less their mean
-    and over their range; none for no parts.
+    """Return the sensors' segment values `name` that vary, at `count` equally spaced times of the phase, less their
+    mean and divided by their range; an empty list if `count` is 0.
     """
     courses: list[Floats] = []
     for summary in sensors.values() if count else ():
