@@ -1,4 +1,4 @@
-"""Every probe by its name: small pure functions of summaries, one file for each domain."""
+"""All probes by name: small pure functions of summaries, one file per domain."""
 
 from __future__ import annotations
 
@@ -51,4 +51,4 @@ _DOMAINS = (
 )
 
 PROBES: Probes = MappingProxyType({name: probe for domain in _DOMAINS for name, probe in domain.PROBES.items()})
-"""Domain by domain; values, their meaning and the effects that they see stand in each."""
+"""All probes by name, domain by domain; each describes its value and lists the effects that change it."""

@@ -12,14 +12,16 @@ from imuarray.gap.statistics.probes.probe import NOTHING, PhaseProbe, Probes, lo
 from imuarray.gap.statistics.summary import Summary
 
 _TERMS = 12
-"""Fewer differences, four of them in an averaging time, say too little."""
+"""Least number of differences for an Allan variance; there are four of them in an averaging time."""
 
 _MANY_TERMS = 100
-"""As do fewer of a fourth moment."""
+"""Least number of differences for a fourth moment."""
 
 
 def at(octave: int, summary: Summary) -> Floats:
-    """Return the log of the Allan variance at 2^octave rows over that of white noise with the variance at one row."""
+    """Return the log of the ratio of the Allan variance at 2^octave rows to that of white noise with the same Allan
+    variance at one row.
+    """
     return np.asarray(_logs(summary)[octave])
 
 
@@ -30,14 +32,14 @@ def jumps(octave: int, summary: Summary) -> Floats:
 
 
 def longest(summary: Summary) -> Floats:
-    """Return the same at the longest averaging time that the phase has enough rows for."""
+    """Return `at` the longest averaging time for which the phase has enough rows."""
     known = np.flatnonzero(summary.allan.terms >= _TERMS)
     return at(int(known[-1]), summary) if len(known) else NOTHING
 
 
 @once
 def _logs(summary: Summary) -> Floats:
-    """Return (o, 3) at all octaves; nan of those that have too few terms."""
+    """Return (o, 3) the values of `at` for all octaves; nan for octaves with too few terms."""
     variance, terms, _ = summary.allan
     factors = np.where(terms >= _TERMS, 2.0 ** np.arange(len(terms)), np.nan)
     return np.asarray(log(variance * factors[:, None]) - log(variance[0]))

@@ -1,4 +1,4 @@
-"""Probes of the correlation with the readings just before."""
+"""Probes of the correlation with the previous readings."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, fisher_z
 from imuarray.gap.statistics.summary import Summary
 
 _APART = 2
-"""Differences so many rows apart share no reading: of independent noise their squares don't correlate."""
+"""Lag in rows at which two differences share no reading, so that their squares are uncorrelated for independent noise.
+"""
 
 
 def lag(rows: int, summary: Summary) -> Floats:
-    """Fisher's z of the correlation with the reading so many rows before."""
+    """Return Fisher's z of the correlation with the reading `rows` rows before."""
     return fisher_z(summary.correlation[rows])
 
 
 def arch(summary: Summary) -> Floats:
-    """Fisher's z of the correlation of squared differences of neighbours, two rows apart: noise in bursts."""
+    """Return Fisher's z of the correlation of squared differences between neighbours at a lag of two rows, which
+    detects noise in bursts.
+    """
     return fisher_z(summary.arch[_APART])
 
 

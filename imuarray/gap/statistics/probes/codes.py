@@ -16,24 +16,24 @@ from imuarray.log.format import RESOLUTION
 from imuarray.simulate.converters import CodeSpan, code_span
 
 _MIDDLE = np.array([0.05, 0.95])
-"""Codes that never come are looked for between these quantiles."""
+"""Quantiles of the readings between which absent codes are counted."""
 
 
 def odd(summary: Summary) -> Floats:
-    """arcsine of the share of odd codes; nan if the counts are no codes of a chip."""
+    """Return the arcsine of the share of odd codes; nan if the counts are not codes of a chip."""
     return _of_codes(summary, arcsine(_having(summary, 1), summary.rows))
 
 
 def second_bit(summary: Summary) -> Floats:
-    """arcsine of the share of codes with the second lowest bit set."""
+    """Return the arcsine of the share of codes with bit 1 set; nan if the counts are not codes of a chip."""
     return _of_codes(summary, arcsine(_having(summary, 2), summary.rows))
 
 
 def absent(summary: Summary) -> Floats:
     """Return the arcsine of the share of codes in the middle nine tenths of the readings that are absent.
 
-    0 where there are fewer than `_ROWS_A_CODE` rows a code, as in a quick turn: codes are absent there by chance, and
-    the share depends on the path of the box.
+    0 if there are fewer than `_ROWS_A_CODE` rows per code, for example in a quick turn: codes are then absent by
+    chance, and the share depends on the path of the box. nan if the counts are not codes of a chip.
     """
     middles = _middles(summary)
     absent_codes = [missing if summary.rows >= _ROWS_A_CODE * codes else 0 for missing, codes in middles]
@@ -41,21 +41,21 @@ def absent(summary: Summary) -> Floats:
 
 
 def _of_codes(summary: Summary, values: Floats) -> Floats:
-    """The values (3,), or nan for counts that an import made of rounded or computed values."""
+    """Return the values (3,), or nan if an import computed the counts from rounded or computed values."""
     return np.full(len(values), math.nan) if RESOLUTION in summary.header.extra else values
 
 
 def at_ends(summary: Summary) -> Floats:
-    """arcsine of the share of readings at or beyond an end of the code span."""
+    """Return the arcsine of the share of readings at or beyond an end of the code span."""
     span = code_span(summary.header)
     return arcsine([_beyond(histogram, span) for histogram in summary.codes], summary.rows)
 
 
 def pile(summary: Summary) -> Floats:
-    """Return how much more often the outermost code came than the next one inwards, in standard deviations, at the
-    worse end.
+    """Return by how much the outermost code is more frequent than the next one inwards, in standard deviations, at the
+    end where this is larger.
 
-    The root of a Poisson count scatters by 1/2 whatever its mean.
+    The root of a Poisson count has a standard deviation of 1/2 whatever its mean.
     """
     return np.array([_pile(histogram.counts) for histogram in summary.codes])
 
@@ -76,7 +76,7 @@ def _middles(summary: Summary) -> list[tuple[int, int]]:
 
 
 def _absent(histogram: Histogram) -> tuple[int, int]:
-    """Codes that are missing, and how many there are in all, between the quantiles."""
+    """Return the number of absent codes and of all codes between the quantiles `_MIDDLE`."""
     if len(histogram.codes) == 0:
         return 0, 0
     upto = histogram.counts.cumsum()
@@ -93,13 +93,15 @@ def _pile(counts: np.ndarray) -> float:
 
 
 def _one_code(summary: Summary) -> float:
-    """Resolution of the share of absent codes: one missing code of the narrowest axis, which chance can cause."""
+    """Return the resolution of the share of absent codes: one code of the axis with the fewest codes, which can be
+    absent by chance.
+    """
     spans = [codes for _, codes in _middles(summary)]
     return 0.5 / math.sqrt(max(min(spans, default=1), 1))
 
 
 _ROWS_A_CODE = 4
-"""Of so many rows a code, uniform readings leave e^-4, one code in fifty, absent by chance."""
+"""Least number of rows per code. With uniform readings the share e^-4, one code in fifty, is then absent by chance."""
 
 _STEPS = ("quantisation", "odr_error")
 _CLIPPED = ("saturation", "range_reset", "scale", "nonlinearity")

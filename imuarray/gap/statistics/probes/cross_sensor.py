@@ -1,5 +1,5 @@
-"""Probes of errors that sensors share: along the chips' own axes if their design causes them, along the box's axes if
-motion does.
+"""Probes of errors that sensors have in common: along the chips' own axes if the design of the chip causes them, along
+the box's axes if motion does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _slow(cross: Cross) -> Floats:
 
 @once
 def _fast(cross: Cross) -> Floats:
-    """Return (p, p) the same within segments."""
+    """Return (p, p) Fisher's z of correlations within segments, along the sensors' axes."""
     return _correlations(cross.fast)
 
 
@@ -46,33 +46,33 @@ def _fast_in_box(cross: Cross) -> Floats:
 
 
 def own_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Return the mean Fisher's z with the same axis of the other sensors of this chip."""
+    """Return the mean Fisher's z (3,) of each axis with the same axis of the other sensors of this chip type."""
     return _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True))
 
 
 def box_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Return the mean Fisher's z, box axis by box axis, with the other sensors of this chip, given for the sensor's
-    axis along it.
+    """Return the mean Fisher's z (3,) along each box axis with the other sensors of this chip type, in the order of the
+    sensor's axes that lie along the box axes.
     """
     return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True)))
 
 
 def others(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Return the same with the sensors of other chips that measure the same."""
+    """Return the same as `box_axes`, with the sensors of other chip types that measure the same quantity."""
     family = set(cross.others(sensor, family=True))
     strangers = [name for name in cross.others(sensor, family=False) if name not in family]
     return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, strangers))
 
 
 def between_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Fisher's z of each axis with the next one of the same sensor."""
+    """Return Fisher's z (3,) of each axis with the next axis of the same sensor."""
     begin = cross.columns(sensor).start
     return np.asarray(correlations(cross)[begin + AXES, begin + (AXES + 1) % 3])
 
 
 def level_apart(log: LogSummary, sensor: str) -> Floats:
-    """Return the mean reading of the log less the mean of that of the other sensors of this chip, each along its own
-    axes.
+    """Return the mean reading (3,) at rest in the log less the mean of those of the other sensors of this chip type,
+    each along its own axes.
     """
     levels = _levels(log)
     header, sensor_level = levels[sensor]
@@ -85,22 +85,22 @@ def level_apart(log: LogSummary, sensor: str) -> Floats:
 
 
 def least_level_apart(log: LogSummary, sensor: str) -> float:
-    """Return the least difference from the other sensors that says anything: that of the sensor's own mean, which an
-    attitude estimated from two opposed chips takes out of both.
+    """Return the least meaningful difference from the other sensors, in the sensor's unit: that of its own mean. An
+    attitude that is estimated from two opposed chips absorbs the difference of both.
     """
     return min(map(least_level, log.still(sensor)), default=0.0)
 
 
 @once
 def _levels(log: LogSummary) -> dict[str, tuple[SensorHeader, Floats]]:
-    """Return levels of every sensor that has readings at rest."""
+    """Return the header and the level of every sensor with readings at rest."""
     names = dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors)
     still = {name: log.still(name) for name in names}
     return {name: (phases[0].header, level(phases)) for name, phases in still.items() if phases}
 
 
 def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[str]) -> Floats:
-    """Return (3,) axis by axis, mean over the partners."""
+    """Return the correlation (3,) of each axis with the same column of the partners, averaged over the partners."""
     if not partners:
         return NOTHING
     columns = np.array([[cross.columns(partner).start] for partner in partners]) + AXES
@@ -108,18 +108,18 @@ def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[s
 
 
 def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:
-    """Return (3,) values of box axes in the order of the sensor's axes that lie along them."""
+    """Return (3,) the values of box axes in the order of the sensor's axes that lie along them."""
     return np.asarray(box[_nearest(cross.header(sensor).orientation)])
 
 
 @lru_cache(maxsize=64)
 def _nearest(orientation: Matrix) -> Indices:
-    """Return (3,) the box's axis along which each of the sensor's lies."""
+    """Return (3,) the number of the box axis along which each axis of the sensor lies."""
     return np.asarray(np.abs(np.array(orientation)).argmax(axis=0))
 
 
 def _in_box(cross: Cross, moments: Floats) -> Floats:
-    """Return (p, p) moments with every sensor's axes turned into the box's."""
+    """Return (p, p) the moments with every sensor's axes rotated into those of the box."""
     turn = np.eye(len(moments))
     for sensor in cross.sensors:
         turn[cross.columns(sensor.name), cross.columns(sensor.name)] = sensor.orientation
@@ -127,7 +127,7 @@ def _in_box(cross: Cross, moments: Floats) -> Floats:
 
 
 def _correlations(moments: Floats) -> Floats:
-    """Fisher's z of correlations; nan of what never changes."""
+    """Return Fisher's z of the correlations; nan for columns without variance."""
     size = np.sqrt(np.diag(moments))
     size = np.where(size > 0, size, np.nan)
     return fisher_z(moments / size[:, None] / size)

@@ -22,14 +22,14 @@ from imuarray.gap.statistics.probes.probe import (
 from imuarray.gap.statistics.summary import Summary
 
 TAIL = 3.0
-"""Differences of neighbours beyond so many of their standard deviations are the tail: 0.27 % of Gaussian ones."""
+"""Limit of the tail of differences between neighbours, in standard deviations: 0.27 % of Gaussian ones are beyond."""
 
 
 _HALF_COUNT = 0.5
 
 
 def skewness(summary: Summary) -> Floats:
-    """arsinh of the skewness about the segments' means."""
+    """Return the arsinh of the skewness about the segments' means."""
     variance, third, _ = _central(summary)
     return np.asarray(
         np.arcsinh(np.divide(third, variance**1.5, out=np.full_like(variance, np.nan), where=variance > 0))
@@ -43,7 +43,9 @@ def kurtosis(summary: Summary) -> Floats:
 
 
 def tail(summary: Summary) -> Floats:
-    """arcsine of the share of differences of neighbours beyond `TAIL` times the noise's; a code is as wide as one."""
+    """Return the arcsine of the share of differences between neighbours that exceed `TAIL` standard deviations of the
+    differences of noise. Each code is treated as an interval one count wide, which the limit divides.
+    """
     limit = TAIL * np.sqrt(2) * noise_lsb(summary)
     beyond = [
         float(steps.counts @ (steps.codes + (0.5 - end)).clip(0.0, 1.0)) if math.isfinite(end) else math.nan
@@ -53,33 +55,36 @@ def tail(summary: Summary) -> Floats:
 
 
 def extreme(summary: Summary) -> Floats:
-    """Normal score of the largest difference of neighbours, as if all of them were independent and Gaussian."""
+    """Return the normal score of the largest difference between neighbours, computed as if all differences were
+    independent and Gaussian.
+    """
     largest = [float(steps.codes[-1]) if len(steps.codes) else np.nan for steps in summary.steps]
     return score_of_largest(np.array(largest) / (np.sqrt(2) * noise_lsb(summary)), 2 * summary.rows)
 
 
 def spike(summary: Summary) -> Floats:
-    """Return the log of the largest spike over the smallest that is kept; nan at rest, where `extreme` sees it.
+    """Return the log of the ratio of the largest spike to the smallest that is kept; nan at rest, where `extreme`
+    detects spikes.
 
-    Noise and late polls make many spikes of about one size. Half a count is added to both, which may be 0.
+    Noise and late polls cause many spikes of about the same size. Half a count is added to both sizes, which may be 0.
     """
     return np.asarray(log(summary.spikes[0] + _HALF_COUNT) - log(summary.spikes[-1] + _HALF_COUNT))
 
 
 def _spike_resolution(summary: Summary) -> float:
-    """One count more or less, on the axis whose spikes are smallest."""
+    """Return the change of `spike` by one count, on the axis with the smallest spikes."""
     smallest = summary.spikes[-1]
     return float(1 / (smallest.min() + _HALF_COUNT)) if np.isfinite(smallest).all() else 0.0
 
 
 def _share(moment: Floats, of: Floats) -> Floats:
-    """nan of nothing."""
+    """Return `moment` divided by `of`; nan where `of` is not positive."""
     return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
 
 
 @once
 def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
-    """Return (3,) second, third and fourth moment about the segments' means."""
+    """Return the second, third and fourth moments (3,) about the segments' means."""
     part = summary.segments
     places = (part.rows > 0).nonzero()[0]
     if len(places) == 0:

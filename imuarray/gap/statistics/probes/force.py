@@ -1,8 +1,10 @@
-"""Probes of the dependence of readings on gravity, face by face: the part that changes sign with it, and the rest.
+"""Probes of the dependence of readings on gravity, by faces: the odd part, which changes sign with gravity, and the
+even part.
 
-The means of the phases on faces are fitted with sum over the sensor's axes k of odd_k f_k + even_k f_k^2, f in g along
-the sensor's nominal axes: on whole faces odd_k is half the difference of the two faces of axis k, and even_k half their
-sum. On such faces f_x^2 + f_y^2 + f_z^2 = 1: a constant is in the even parts.
+The means of the phases on faces are fitted with the sum over the sensor's axes k of odd_k f_k + even_k f_k^2, where f
+is the specific force in g along the sensor's nominal axes. If an axis is exactly vertical on its two faces, odd_k is
+half the difference of their means, and even_k half their sum. Since f_x^2 + f_y^2 + f_z^2 = 1, a constant is contained
+in the even parts.
 """
 
 from __future__ import annotations
@@ -25,29 +27,34 @@ AXES = np.arange(3)
 _FACES = frozenset(UP_AXES)
 
 _ALONG = 0.7
-"""Least component of a direction of the box along an axis of a sensor that feels it."""
+"""Least magnitude of the component of a box axis along a sensor axis for which the change on the box axis's faces is
+reported.
+"""
 
 
 def response(ahead: int, phases: Sequence[Summary]) -> Floats:
-    """Response of each axis to one g along it (`ahead` 0), along the next axis (1: y for x, z for y, x for z), or along
-    the axis after the next (2), in the sensor's unit.
+    """Return the response (3,) of each axis to 1 g along it (`ahead` 0), along the next axis (1: y for x, z for y, x
+    for z), or along the axis after the next (2), in the sensor's unit per g.
     """
     return np.asarray(_parts(phases)[0][AXES, (AXES + ahead) % 3])
 
 
 def square(phases: Sequence[Summary]) -> Floats:
-    """Response of each axis to 1 g^2 along it, less the mean of those to the other axes."""
+    """Return the response (3,) of each axis to 1 g^2 along it, less the mean of its responses to 1 g^2 along the other
+    axes, in the sensor's unit per g^2.
+    """
     even = _parts(phases)[1]
     others = (even[AXES, (AXES + 1) % 3] + even[AXES, (AXES + 2) % 3]) / 2
     return np.asarray(even[AXES, AXES] - others)
 
 
 def returned(phases: Sequence[Summary]) -> Floats:
-    """Return the change of each axis's response to one g along it from the first to the last time on its two faces, in
-    the sensor's unit; nan unless both were up twice, and for a magnetometer: the field of a table is not even.
+    """Return the change (3,) of each axis's response to 1 g along it, from the first to the last time on its two faces,
+    in the sensor's unit per g; nan unless each of the two faces was up at least twice. nan for a magnetometer, since
+    the field of a table is not uniform.
 
-    It is the smaller of the changes on the two faces, and 0 if they contradict each other: a bias that wanders changes
-    one of them, or both alike.
+    It is the smaller of the changes on the two faces, and 0 if these changes do not have opposite signs: a wandering
+    bias changes one of them, or both by the same amount.
     """
     by_face: dict[str, list[Summary]] = {}
     for phase in phases:
@@ -66,7 +73,9 @@ def returned(phases: Sequence[Summary]) -> Floats:
 
 
 def felt_g(phases: Sequence[Summary]) -> Floats:
-    """Return (f, 3) specific force along the sensor's nominal axes in each phase, nan where no face is named."""
+    """Return (f, 3) the specific force in g along the sensor's nominal axes in each of f phases, nan where no face is
+    noted.
+    """
     return np.array([_felt(phase) for phase in phases])
 
 
@@ -76,8 +85,8 @@ def _felt(phase: Summary) -> Floats:
 
 
 def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
-    """Return (3, 3) odd and even parts in the sensor's unit, of axis (row) for each direction of force (column); nan
-    unless all six faces are there.
+    """Return the odd and even parts (3, 3) in the sensor's unit, one row per axis and one column per direction of
+    force; nan unless there are phases on all six faces.
     """
     nothing = np.full((3, 3), np.nan)
     if not {phase.phase.up for phase in phases} >= _FACES:

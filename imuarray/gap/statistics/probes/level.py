@@ -1,4 +1,4 @@
-"""Probes of the level of the readings and its stability."""
+"""Probes of the level of the readings and of its stability."""
 
 from __future__ import annotations
 
@@ -13,20 +13,24 @@ from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, 
 from imuarray.gap.statistics.summary import Summary
 
 LEAST_LEVEL = 2e-6
-"""In the sensor's unit, a hundredth of what an hour of the usual noise lets see."""
+"""Least meaningful difference of means in the sensor's unit: a hundredth of the difference that is detectable in an
+hour with the usual noise.
+"""
 
 _ERROR_SHARE = 0.5
-"""Of the standard error of a mean: a fit that is told by several sensors, or by several faces, leaves more of it."""
+"""Share of the standard error of a mean below which differences are not meaningful. A fit to several sensors or several
+faces leaves a larger share of the standard error as a residual.
+"""
 
 _LEAST, _MANY = 8, 16
-"""Fewer segments say nothing of a variance, of higher moments: the log of a variance of two degrees of freedom is below
-its mean by seven standard deviations as often as once in a thousand times.
+"""Least numbers of segments for a variance, and for higher moments. With few segments the log of a variance has a long
+lower tail: with two degrees of freedom it is seven standard deviations below its mean once in a thousand times.
 """
 
 
 @once
 def mean(summary: Summary) -> Floats:
-    """Return the mean reading by the nominal sensitivity."""
+    """Return the mean reading (3,) in the sensor's unit, by its nominal sensitivity."""
     part = summary.segments
     places = (part.rows > 0).nonzero()[0]
     total = part.rows[places] @ part.mean.take(places, axis=0)
@@ -34,9 +38,11 @@ def mean(summary: Summary) -> Floats:
 
 
 def least_level(summary: Summary) -> float:
-    """Return the least difference of means that says anything: a share of the standard error of the mean of readings
-    that are independent. A fit that takes a level out leaves rounding; an attitude that is estimated from the level
-    itself leaves what is of second order in its error, which is as unlike a normal quantity as it is small.
+    """Return the least meaningful difference of means, in the sensor's unit: a share of the standard error of the mean
+    of independent readings.
+
+    A fit that removes a level leaves only rounding. An attitude that is estimated from the level itself leaves a
+    residual of second order in the error of the attitude, which is small and far from normal.
     """
     if not summary.rows:
         return LEAST_LEVEL
@@ -47,12 +53,12 @@ def least_level(summary: Summary) -> float:
 
 
 def least_mean_level(phases: Sequence[Summary]) -> float:
-    """Return the same of the mean over phases that are weighted alike."""
+    """Return the least meaningful difference of the mean over phases with equal weights, in the sensor's unit."""
     return math.sqrt(sum(least_level(phase) ** 2 for phase in phases)) / max(len(phases), 1)
 
 
 def least_return(phases: Sequence[Summary]) -> float:
-    """Return the same of the difference of two phases."""
+    """Return the least meaningful difference between the last and the first phase, in the sensor's unit."""
     return math.hypot(least_level(phases[0]), least_level(phases[-1]))
 
 
@@ -65,8 +71,8 @@ def halves(summary: Summary) -> Floats:
 
 
 def wander(summary: Summary) -> Floats:
-    """Return the log of the variance of the segments' means about a straight line, over what independent readings would
-    give.
+    """Return the log of the ratio of the variance of the segments' means about a straight line to that expected for
+    independent readings.
     """
     part = summary.segments
     places = (part.rows > 1).nonzero()[0]
@@ -78,7 +84,9 @@ def wander(summary: Summary) -> Floats:
 
 
 def uneven(summary: Summary) -> Floats:
-    """arsinh of the skewness of the segments' means about a straight line: of two levels one is seldom."""
+    """Return the arsinh of the skewness of the segments' means about a straight line. It differs from 0 if the readings
+    switch between two levels, one of which is rare.
+    """
     if np.count_nonzero(summary.segments.rows > 1) < _MANY:
         return np.full(summary.segments.mean.shape[1], np.nan)
     residual = _about_line(summary)
@@ -88,7 +96,7 @@ def uneven(summary: Summary) -> Floats:
 
 @once
 def _about_line(summary: Summary) -> Floats:
-    """Return (s, 3) means of segments that hold readings, less a straight line through them."""
+    """Return (s, 3) the means of segments with at least two rows, less a straight line fitted to them, in counts."""
     part = summary.segments
     places = (part.rows > 1).nonzero()[0]
     times, means = part.time_s[places], part.mean.take(places, axis=0)
@@ -97,26 +105,28 @@ def _about_line(summary: Summary) -> Floats:
 
 
 def _share(moment: Floats, of: Floats) -> Floats:
-    """nan of nothing."""
+    """Return `moment` divided by `of`; nan where `of` is not positive."""
     return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
 
 
 def returned(phases: Sequence[Summary]) -> Floats:
-    """Return the mean of the last phase less that of the first one on the same face."""
+    """Return the mean of the last phase less that of the first phase on the same face; nan if there is none."""
     last = phases[-1]
     before = [phase for phase in phases[:-1] if phase.phase.up == last.phase.up]
     return mean(last) - mean(before[0]) if before else NOTHING
 
 
 def whole(phases: Sequence[Summary]) -> Floats:
-    """Return the mean of all phases, each face or pose weighted alike, as the fit of a bias has it; nan of a single
-    phase, whose own mean says it.
+    """Return the mean of all phases with equal weights of all faces or poses, as in the fit of a bias; nan for a single
+    phase, for which the probe `mean` gives the same value.
     """
     return level(phases) if len(phases) > 1 else NOTHING
 
 
 def level(phases: Sequence[Summary]) -> Floats:
-    """Return the same, of a single phase too; nan without readings."""
+    """Return the mean of all phases with equal weights of all faces or poses, also for a single phase; nan without
+    readings.
+    """
     faces: dict[str, list[Floats]] = {}
     for phase in phases:
         if phase.rows:

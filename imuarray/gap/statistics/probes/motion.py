@@ -1,11 +1,13 @@
-"""Probes of the response to a motion that other sensors of the kind feel too: gain, direction, delay, lever arm, bend.
+"""Probes of the response to a motion that other sensors of the same quantity measure too: gain, direction, delay, lever
+arm and nonlinearity.
 
-The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes; with fewer than
-two others it is the mean of these and of the log's track. It is noisy itself, which makes gains a little too small, but
-equally in a simulation of the same motion.
+The reference is the mean of the other sensors that measure the same quantity, along this sensor's nominal axes; with
+fewer than two others it is the mean of these and of the log's track. The noise of the reference makes gains slightly
+too small, but equally in a simulation of the same motion.
 
-A polled chip's readings are up to one of its periods old, and in step with the polls always equally old: a delay
-without significance. The residual of a sensor's motion is what no delay explains either.
+The readings of a polled chip are up to one of its periods old, and if its clock is in step with the polls they are
+always equally old; this delay is not an error. The residual of a sensor is therefore the variance that remains for any
+delay.
 """
 
 from __future__ import annotations
@@ -26,37 +28,43 @@ AXES = np.arange(3)
 _REFERENCE, _BENDING = slice(3, 6), np.arange(6, 9)
 
 _STILL = 1e-3
-"""Motion along an axis, as a share of the mean square over the axes, below which the box hardly moves along it: what
-misalignments mix in there has no delay of its own, and an exact reference tells any gain.
+"""Share of the mean square motion over the axes that regularises delays and the gains against a track. Along an axis
+with less motion the readings are mostly cross-talk by misalignment, which has no delay of its own, and against a
+noise-free reference any gain would fit.
 """
 
 _MOVES = 1e-2
-"""The same below which no bend is looked for: the rate along such an axis is the sensor's own noise, and what other
-axes mix in.
+"""Share of the mean (or, over phases, of the largest) mean square motion that an axis or phase must exceed for a single
+gain, a nonlinearity or a delay rate. The rate along an axis with less motion is mostly the sensor's own noise and
+cross-talk.
 """
 
 _TURNS_ABOUT_ALL = 0.01
-"""Least variance of the motion along any direction, as a share of that along the strongest one, from which on responses
-to the motion along three axes are told apart: below it, noise tells them, which is another one in each sensor.
+"""Least variance of the motion along any direction, as a share of that along the strongest direction, for which the
+responses to motion along the three axes are estimated separately. With less, they are determined by the noise, which
+differs between sensors.
 """
 
 _ACROSS = 0.25
-"""Share of a motion's power along an axis below which the motion lies across it."""
+"""Share of the power of a motion along an axis below which the motion counts as perpendicular to the axis."""
 
 _ENDS = 0.02
-"""Share of the residual that is kept: about that of the windows at segments' ends, whose change is not known."""
+"""Least share of the residual variance that remains after a delay is fitted: about the share of the windows at the ends
+of segments, for which the change is not known.
+"""
 
 
 def gain(ahead: int, cross: Cross, sensor: str) -> Floats:
-    """Response of each axis to motion along it (`ahead` 0), along the next axis (1), or along the axis after the next
-    (2), as a share.
+    """Return the response (3,) of each axis to motion along it (`ahead` 0), along the next axis (1), or along the axis
+    after the next (2), as a ratio to that motion.
     """
     return np.asarray(_separate_gains(cross, sensor)[AXES, (AXES + ahead) % 3])
 
 
 def along(cross: Cross, sensor: str) -> Floats:
-    """Response of each axis to motion along it, by that motion alone. The rotation about a single axis determines it
-    too: what the box then feels along its axes is proportional, and nothing tells their shares apart.
+    """Return the response (3,) of each axis to motion along it, from a regression on that motion alone; nan for axes
+    with hardly any motion. Unlike `gain` it is also determined by a rotation about a single direction, for which the
+    motions along the three axes are proportional and cannot be separated.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -66,8 +74,9 @@ def along(cross: Cross, sensor: str) -> Floats:
 
 
 def across(cross: Cross, sensor: str) -> Floats:
-    """Response of each axis to the rotation or stroke along a single direction, less the share of it that lies along
-    the axis; nan for axes near that direction, and where motions along three axes are told apart.
+    """Return the response (3,) of each axis to a rotation about, or a motion along, a single direction, less the
+    component of that direction along the axis. nan for axes near that direction, if `gain` separates the motions along
+    three axes, and without another sensor of the quantity.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None or not cross.others(sensor, family=False):
@@ -81,7 +90,8 @@ def across(cross: Cross, sensor: str) -> Floats:
 
 
 def delay(cross: Cross, sensor: str) -> Floats:
-    """Delay of each axis in seconds behind what its gains make of the reference, p; 0 for an axis that hardly moves.
+    """Return the delay (3,) of each axis, in seconds, relative to p, the product of its gains and the reference; nearly
+    0 for an axis with hardly any motion.
 
     y(t) = p(t - delay) is about p - delay dp/dt, so the delay is the projection of p - y on the change of p.
     """
@@ -98,10 +108,12 @@ def delay(cross: Cross, sensor: str) -> Floats:
 
 
 def delay_rate(log: LogSummary, sensor: str) -> Floats:
-    """Return the change per second of a sensor's delay behind a track, over the phases of a log in which the box moves;
-    one number, nan for fewer than `_FEWEST_MOTIONS` of them, and for a sensor without a track beside it.
+    """Return the change per second of a sensor's delay relative to the track, over the phases of a log in which the box
+    moves. The result is one number; nan with fewer than `_FEWEST_MOTIONS` of these phases, and for a sensor without
+    columns of the track.
 
-    A clock that is fast makes the sensor later and later, whatever its filter and its clock's beginning do.
+    A clock that is fast increases the delay of the sensor continually, whatever the delay of its filter and the offset
+    of its clock are.
     """
     crosses = [part.cross for part in log.phases if not part.is_still and part.cross is not None]
     crosses = [cross for cross in crosses if sensor in cross.with_track and cross.windows]
@@ -115,9 +127,9 @@ def delay_rate(log: LogSummary, sensor: str) -> Floats:
 
 
 def _behind_track(cross: Cross, sensor: str) -> tuple[float, float]:
-    """Return the mean square of the change per second of the track p, added up over the axes of a sensor y, and the
-    mean product of p - y and that change: of a sensor that is late the delay times the first. An error of its scale or
-    alignment contributes nothing where p begins and ends alike.
+    """Return the mean square of dp/dt of the track p, summed over the axes of a sensor y, and the mean product of p - y
+    and dp/dt, which for a late sensor is the delay times the former. Errors of scale or alignment contribute nothing if
+    p is the same at the begin and the end.
     """
     every = np.eye(cross.fast.shape[0])
     track = np.array(cross.header(sensor).orientation).T @ every[cross.track_columns(sensor)]
@@ -127,14 +139,16 @@ def _behind_track(cross: Cross, sensor: str) -> tuple[float, float]:
 
 
 _FEWEST_MOTIONS = 3
+"""Least number of phases with motion from which the change of a delay is estimated."""
 
 _OF_CRYSTALS = 5e-5
-"""Relative difference of the rates of two instruments' clocks that is usual: two crystal oscillators."""
+"""Usual relative difference between the clocks of two instruments, each with a crystal oscillator."""
 
 
 def quadrature(cross: Cross, sensor: str) -> Floats:
-    """Component of each axis in quadrature to the reference along it, in seconds: the projection of r - y on the change
-    of r. It is the delay if that is short, and sin(w d) / w for a sine of angular frequency w that is late by d.
+    """Return the component (3,) of each axis in quadrature to the reference r along it, in seconds: the projection of
+    r - y on the change of r. It equals the delay if that is short, and sin(w d) / w for a sine of angular frequency w
+    that is delayed by d.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -146,8 +160,8 @@ def quadrature(cross: Cross, sensor: str) -> Floats:
 
 
 def information_on_delay(cross: Cross, sensor: str) -> Floats:
-    """Inverse variance (3,) of each axis's delay, in s^-2, by what the delay leaves unexplained; nan without a
-    reference.
+    """Return the inverse variance (3,) of each axis's delay, in s^-2, from the variance that the delay does not
+    explain; nan without a reference.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -160,20 +174,20 @@ def information_on_delay(cross: Cross, sensor: str) -> Floats:
 
 
 def _changes_of(joint: _JointMoments, gains: Floats) -> Floats:
-    """Return the mean square (3,) of the change from window to window of what gains (3, 3) make of the reference."""
+    """Return the mean square (3,) of the change from window to window of the product of gains (3, 3) and reference."""
     changes = joint.changes[np.ix_(AXES + 3, AXES + 3)]
     return np.asarray(np.einsum("oa,ab,ob->o", gains, changes, gains))
 
 
 def residual(cross: Cross, sensor: str) -> Floats:
-    """Return the log of the variance that the reference doesn't explain, whatever the delay behind it."""
+    """Return the log of the variance (3,) that the reference does not explain for any delay."""
     joint = _joint_moments(cross, sensor)
     return NOTHING if joint is None else log(_residual_variance(joint, AXES + 3))
 
 
 def coupling(cross: Cross, sensor: str) -> Floats:
-    """Return the log of that variance over the residual when an accelerometer is explained by products of angular rates
-    and angular accelerations too, a gyroscope by the force that accelerometers feel.
+    """Return the log of the ratio of that variance to the residual variance with further explaining columns: products
+    of angular rates and angular accelerations for an accelerometer, the mean specific force for a gyroscope.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None or joint.moments.shape[0] == 6:
@@ -183,20 +197,20 @@ def coupling(cross: Cross, sensor: str) -> Floats:
 
 
 def square(cross: Cross, sensor: str) -> Floats:
-    """artanh of the correlation of a gyroscope's readings with the square of the rate along each axis, without what the
-    reference explains of both.
+    """Return the artanh (3,) of the partial correlation of a gyroscope's readings with the square of the rate along
+    each axis, given the reference.
     """
     return _bend(cross, sensor, [cross.kinematic.start + at for at in SQUARES])
 
 
 def cube(cross: Cross, sensor: str) -> Floats:
-    """Return the same with the cube of the rate."""
+    """Return the same as `square` for the cube of the rate."""
     return _bend(cross, sensor, list(range(cross.cubes.start, cross.cubes.stop)))
 
 
 def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
-    """artanh of the partial correlation of each axis with the one of three columns that belongs to the box's axis which
-    is nearest to it; nan of an axis along which the box hardly moves, and of other sensors than gyroscopes.
+    """Return the artanh (3,) of the partial correlation of each axis with the one of three columns that belongs to the
+    nearest box axis; nan for an axis along which the box hardly moves, and for sensors other than gyroscopes.
     """
     header, reference = cross.header(sensor), cross.reference(sensor)
     if header.quantity != "angular_rate" or reference is None or not cross.windows:
@@ -217,8 +231,8 @@ def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
 
 
 class _JointMoments(NamedTuple):
-    """Moments of the sensor's axes, the reference's, and further explaining columns: `moments`, `turning` and `changes`
-    (q, q) as in `Cross`.
+    """Moments of the sensor's axes, of the reference's axes, and of further explaining columns: `moments` (the `fast`
+    ones), `turning` and `changes` (q, q) as in `Cross`.
     """
 
     moments: Floats
@@ -252,13 +266,15 @@ def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
         more += [turn @ cross.mean_box(feel)] if feel else []
     weights = np.concatenate([sensor_rows, *more])
     joint = _JointMoments(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
-    if not cross.others(sensor, family=False):  # the mean of other sensors has a noise of its own
+    if not cross.others(sensor, family=False):  # the mean of other sensors is regularised by its own noise
         joint.moments[AXES + 3, AXES + 3] += _STILL * np.diag(joint.moments)[AXES + 3].mean()
     return joint
 
 
 def _separate_gains(cross: Cross, sensor: str) -> Floats:
-    """Return the gains (3, 3); nan if the motion does not tell those against the noisy mean of others apart."""
+    """Return the gains (3, 3); nan if the reference is a noisy mean of others and the motion does not determine the
+    gains to all three axes.
+    """
     joint = _joint_moments(cross, sensor)
     if joint is None or not cross.others(sensor, family=False):
         return _gains(cross, sensor)
@@ -267,8 +283,8 @@ def _separate_gains(cross: Cross, sensor: str) -> Floats:
 
 
 def joint_gains(crosses: Sequence[Cross], sensor: str) -> Floats:
-    """Return (3, 3) response of the sensor's axes (rows) to the reference's (columns) over several phases together:
-    turns about single axes tell the axes apart if there are several of them. nan if they do not.
+    """Return the response (3, 3) of the sensor's axes (rows) to the reference's (columns) over several phases together.
+    Turns about single axes determine it if they are about different axes; nan if the motion does not determine it.
     """
     moments = np.zeros((6, 6))
     for cross in crosses:
@@ -282,7 +298,7 @@ def joint_gains(crosses: Sequence[Cross], sensor: str) -> Floats:
 
 
 def _gains(cross: Cross, sensor: str) -> Floats:
-    """Return (3, 3) response of the sensor's axes (rows) to the reference's (columns)."""
+    """Return the response (3, 3) of the sensor's axes (rows) to the reference's (columns)."""
     return _all_gains(cross)[sensor]
 
 
@@ -296,7 +312,7 @@ def _all_gains(cross: Cross) -> dict[str, Floats]:
 
 
 def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
-    """Return least-squares coefficients (b, o)."""
+    """Return the least-squares coefficients (b, o) of columns `of` (o,) in terms of columns `by` (b,)."""
     size = np.sqrt(np.diag(moments)[by])
     size = np.where(size > 0, size, 1.0)
     scaled = moments[np.ix_(by, by)] / size[:, None] / size
@@ -304,7 +320,9 @@ def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
 
 
 def _residual_variance(joint: _JointMoments, by: np.ndarray) -> Floats:
-    """Return variances (3,) of the sensor's axes that neither these columns nor the reference's changes explain."""
+    """Return the variances (3,) of the sensor's axes that neither the columns `by` nor the changes of the reference
+    explain.
+    """
     moments, reference = joint.moments, AXES + 3
     coefficients = _coefficients(moments, AXES, by)
     variance = np.asarray(np.diag(moments)[AXES] - np.einsum("bo,bo->o", coefficients, moments[np.ix_(by, AXES)]))
@@ -321,10 +339,12 @@ _GAIN = ("scale", "axis_error", "range_reset")
 _BEND = "artanh of the correlation with the {} of the rate along the axis, beyond what the others read"
 
 _OF_A_SLIP = 0.03
-"""Correlation with a power of the rate that a delay makes which grows and falls as polls slip against a data clock."""
+"""Correlation with a power of the rate that is caused by a delay that varies as the polls slip against the data clock.
+"""
 
 _OF_A_CONVERSION_S = 1e-4
-"""Delay of one axis behind the next in chips that convert them one after the other (BMA-94); all rows have one time."""
+"""Delay between the axes of chips that convert them one after the other (BMA-94); a row has a single time for all axes.
+"""
 
 
 def _probe(

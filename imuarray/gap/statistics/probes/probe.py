@@ -1,6 +1,6 @@
 """Types of probes: pure functions that compute a number per axis from a summary, with their description.
 
-A statistic is transformed such that it scatters symmetrically and nearly normally without a gap: logs of variances,
+A statistic is transformed so that its distribution without a gap is symmetric and nearly normal: logs of variances,
 Fisher's z of correlations, arcsines of the roots of shares. It is nan where it is not defined.
 """
 
@@ -47,8 +47,9 @@ NOTHING = np.full(3, np.nan)
 
 @dataclass(frozen=True)
 class Probe:
-    """`about`: what it measures; `moved_by`: the effects that it was made to see; `margin`: the least difference that
-    matters; `unit` of its values ("" for pure numbers, "{u}" stands for the sensor's unit).
+    """Description of a statistic. `about`: what it measures; `moved_by`: the effects that it is intended to detect;
+    `margin`: the least difference that matters; `unit`: that of its values ("" for pure numbers; "{u}" stands for the
+    sensor's unit).
     """
 
     domain: Domain
@@ -60,11 +61,11 @@ class Probe:
 
 @dataclass(frozen=True)
 class PhaseProbe(Probe):
-    """Probe of one sensor in one phase: (3,), or one number for all axes.
+    """Probe of one sensor in one phase; its value is (3,), or one number for all axes.
 
-    `in_motion`: also while the box moves. `resolution` is the least meaningful difference where values can be equal by
-    chance. `by_column`: the statistic works column by column for any number of columns, so that replicates can be
-    processed side by side.
+    `in_motion`: it is also computed while the box moves. `resolution` returns the least meaningful difference, where
+    values can be equal by chance. `by_column`: the statistic is computed column by column for any number of columns, so
+    that replicates can be processed together.
     """
 
     statistic: Callable[[Summary], Floats]
@@ -83,8 +84,8 @@ class LogProbe(Probe):
 
 @dataclass(frozen=True)
 class CrossProbe(Probe):
-    """Probe of one sensor against the others of the array, at rest or (`in_motion`) in motion; `resolution` is the
-    least meaningful difference.
+    """Probe of one sensor compared with the others of the array, at rest or (`in_motion`) in motion; `resolution` is
+    the least meaningful difference.
     """
 
     statistic: Callable[[Cross, str], Floats]
@@ -94,7 +95,7 @@ class CrossProbe(Probe):
 
 @dataclass(frozen=True)
 class ArrayProbe(Probe):
-    """Probe of one sensor against the others of the array, in all phases of a log in which the box is at rest, or
+    """Probe of one sensor compared with the others of the array, in all phases of a log in which the box is at rest, or
     (`in_motion`) moves; `resolution` as in `PhaseProbe`.
     """
 
@@ -105,9 +106,7 @@ class ArrayProbe(Probe):
 
 @dataclass(frozen=True)
 class TurnProbe(Probe):
-    """Probe of one sensor in the turns of a log from one rest to the next; `resolution` is the least meaningful
-    difference.
-    """
+    """Probe of one sensor in the turns of a log between two rests; `resolution` is the least meaningful difference."""
 
     statistic: Callable[[LogSummary, str], Floats]
     resolution: float = 0.0
@@ -133,8 +132,8 @@ Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | TurnProb
 
 
 def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:
-    """Cache `work` in each subject (a summary, the evidence of a sensor), so that several probes, sensors or effects
-    compute it once.
+    """Cache the result of `work` in its subject (a summary, the evidence of a sensor), so that it is computed once for
+    several probes, sensors or effects.
     """
     name = f"{work.__module__}.{work.__qualname__}"
 
@@ -149,7 +148,7 @@ def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:
 
 
 def log(values: float | npt.ArrayLike) -> Floats:
-    """Natural logarithm, nan of what is not positive."""
+    """Return the natural logarithm; nan for values that are not positive."""
     if isinstance(values, float):
         return np.array(math.log(values) if values > 0 else math.nan)
     numbers = np.asarray(values, float)
@@ -157,12 +156,14 @@ def log(values: float | npt.ArrayLike) -> Floats:
 
 
 def fisher_z(correlation: npt.ArrayLike) -> Floats:
-    """artanh, which makes the scatter of a correlation the same everywhere; perfect ones end at 7.25."""
+    """Return the artanh of a correlation, whose standard error does not depend on the correlation; limited to 7.25."""
     return np.asarray(np.arctanh(np.asarray(correlation).clip(-1 + 1e-6, 1 - 1e-6)))
 
 
 def arcsine(count: float | npt.ArrayLike, of: int | npt.ArrayLike) -> Floats:
-    """arcsin of the root of a share: its standard error is 1 / (2 sqrt(of)) whatever the share; nan of nothing."""
+    """Return the arcsine of the root of the share `count` / `of`: its standard error is 1 / (2 sqrt(of)) whatever the
+    share; nan if `of` is 0.
+    """
     if isinstance(count, int | float) and isinstance(of, int):
         return np.array(math.asin(math.sqrt(min(max(count / of, 0.0), 1.0))) if of > 0 else math.nan)
     total = np.asarray(of, float)
@@ -171,8 +172,8 @@ def arcsine(count: float | npt.ArrayLike, of: int | npt.ArrayLike) -> Floats:
 
 
 def score_of_largest(score: npt.ArrayLike, count: float) -> Floats:
-    """Return the normal score of the largest of `count` independent normal numbers, from that number itself: where
-    nothing is wrong it is normal too, while the largest alone has a long tail.
+    """Return the normal score of the largest of `count` independent normal numbers, given that number. Without a gap
+    this score is normal, while the largest number itself has a long tail.
     """
     log_expected = math.log(max(count, 1)) + log_ndtr(-np.asarray(score, float))
     expected = np.exp(np.asarray(log_expected).clip(_RARE, _COMMON))
@@ -180,16 +181,17 @@ def score_of_largest(score: npt.ArrayLike, count: float) -> Floats:
 
 
 def one_row(summary: Summary) -> float:
-    """Standard error of `arcsine` of a share of the rows."""
+    """Return the standard error of `arcsine` of a share of the rows."""
     return 0.5 / math.sqrt(max(summary.rows, 1))
 
 
 @once
 def noise_lsb(summary: Summary) -> Floats:
-    """Return (3,) standard deviation of white noise whose neighbours differ as much as these, from the smallest 95 % of
-    the differences: no drift, no motion, no outlier. nan where neighbours never differ.
+    """Return the standard deviation (3,) of white noise in counts, estimated from the smallest 95 % of the differences
+    between neighbours, which excludes drift, motion and outliers. nan where neighbours never differ.
 
-    Of Gaussian noise these have a mean of 0.71683 standard deviations: 2 (phi(0) - phi(1.96)) / 0.95.
+    For Gaussian noise the mean size of these differences is 0.71683 of their standard deviations: 2 (phi(0) -
+    phi(1.96)) / 0.95.
     """
     means = [_trimmed_mean(steps.codes, steps.counts) for steps in summary.steps]
     noise = np.array(means) / (_TRIMMED * np.sqrt(2))
@@ -202,7 +204,7 @@ _TRIMMED = 0.71683
 
 
 def _trimmed_mean(sizes: Integers, counts: Integers) -> float:
-    """Return the mean of the smallest 95 % of `sizes` that came `counts` times."""
+    """Return the mean of the smallest 95 % of values of a histogram: `sizes`, each of which occurred `counts` times."""
     if len(sizes) == 0:
         return math.nan
     upto = counts.cumsum()

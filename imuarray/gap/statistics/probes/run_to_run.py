@@ -1,4 +1,4 @@
-"""Probes of the variation from run to run, and of what all runs have in common."""
+"""Probes of the variation from run to run, and of the profile that all runs have in common."""
 
 from __future__ import annotations
 
@@ -21,35 +21,39 @@ def spread(runs: Runs) -> Floats:
 
 
 def scatter(runs: Runs) -> Floats:
-    """Return the log of the variance of the runs' means over that of independent readings."""
+    """Return the log of the ratio of the variance of the runs' means to that expected for independent readings."""
     return np.asarray(log(runs.means.var(axis=0, ddof=1)) - log((runs.errors**2).mean(axis=0)))
 
 
 def two_states(runs: Runs) -> Floats:
-    """Return the log of the variance of the runs' means over that within the two groups that divide them best."""
+    """Return, for each axis, the log of the ratio of the variance of the runs' means to that within the two groups that
+    `divide` returns.
+    """
     variances = runs.errors**2
     return np.array([divide(runs.means[:, [axis]], variances[:, [axis]])[1] for axis in range(runs.means.shape[1])])
 
 
 def shared_states(runs: Runs) -> Floats:
-    """Return the same as `two_states` for groups that all axes have in common; one number."""
+    """Return the same as `two_states` for groups that are common to all axes; one number."""
     return np.array(divide(runs.means, runs.errors**2)[1])
 
 
 def outlier(runs: Runs) -> Floats:
-    """Return the log of the distance of the farthest run over all axes, in robust standard deviations; one number."""
+    """Return the log of the largest joint distance of a run from the median, in robust standard deviations; one
+    number.
+    """
     return log(runs.joint_distance.max())
 
 
 def creep(runs: Runs) -> Floats:
-    """Slope of the mean profile over the log of time since the run began."""
+    """Return the slope of the mean profile over the log of the time since the begin of the run."""
     times = _TIMES - _TIMES.mean()
     return np.asarray(times @ runs.mean_profile / (times @ times))
 
 
 def profile(runs: Runs) -> Floats:
-    """Return the log of what the mean profile varies by over what the single profiles vary about it, as a ratio of
-    variances.
+    """Return the log of the ratio of the variance of the mean profile to the variance expected from the scatter of the
+    single profiles about it.
     """
     common = (runs.mean_profile**2).sum(axis=0)
     single = ((runs.profiles - runs.mean_profile) ** 2).sum(axis=(0, 1)) / (len(runs.means) - 1)

@@ -1,4 +1,4 @@
-"""Probes of the shape of the spectrum over frequency in cycles per row; the size belongs to `spread`."""
+"""Probes of the shape of the spectrum over frequency in cycles per row; the probes in `spread` measure its size."""
 
 from __future__ import annotations
 
@@ -15,36 +15,39 @@ from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, 
 from imuarray.gap.statistics.summary import Summary
 
 BANDS = 6
-"""From the second bin to half the rate, equally wide in the log of frequency."""
+"""Number of bands, from bin 2 of the spectrum to half the rate, with equal widths in the log of frequency."""
 
 _FIRST = 4
 _NEIGHBOURHOOD = 33
 _SIDE = _NEIGHBOURHOOD // 2
 _IN_PAIRS = 0.25
-"""Share of rows that equal the one before from which on the readings of a chip come in pairs."""
+"""Share of rows equal to the previous row, above which the readings of a chip are assumed to come in pairs."""
 
 Places = npt.NDArray[np.int_]
 
 
 def band(number: int, summary: Summary) -> Floats:
-    """Return the log of the mean density in band `number` (0 is the lowest), over the geometric mean of all bands'."""
+    """Return the log of the ratio of the mean density in band `number` (0 is the lowest) to the geometric mean over all
+    bands.
+    """
     return np.asarray(_bands(summary)[number])
 
 
 def line(summary: Summary) -> Floats:
-    """Normal score of the highest density over the median of its 33 neighbours."""
+    """Return the normal score of the highest ratio of a density to the median of the 33 bins around it."""
     if summary.spectrum.segments == 0:
         return NOTHING
     return _score_of_highest(_over_floor(summary), float(summary.spectrum.freedom[_FIRST]))
 
 
 def line_of_log(phases: Sequence[Summary]) -> Floats:
-    """Normal score of the highest density of all phases at rest together; nan with fewer than two phases.
+    """Return the normal score of the highest density of all phases at rest together; nan with fewer than two phases.
 
-    A line that is at the same frequency in all phases exceeds the floor by more standard deviations there than in any
-    of them. Phase i has n_i degrees of freedom and segments of N_i rows, in which the line's power over the floor is
-    proportional to N_i; the mean with weights N_i n_i therefore shows it best. It has (sum N_i n_i)^2 / (sum N_i^2 n_i)
-    degrees of freedom. Shorter segments have wider bins, each of which stands for several of the finest ones.
+    A line at the same frequency in all phases exceeds the floor of the mean spectrum by more standard deviations than
+    that of any single phase. Phase i has n_i degrees of freedom and segments of N_i rows, in which the ratio of the
+    line to the floor is proportional to N_i; the mean with weights N_i n_i is therefore the most sensitive. It has (sum
+    N_i n_i)^2 / (sum N_i^2 n_i) degrees of freedom. Shorter segments have wider bins, each of which is used for several
+    of the finest bins.
     """
     known = [phase for phase in phases if phase.spectrum.segments]
     if len(known) < 2:
@@ -60,28 +63,28 @@ def line_of_log(phases: Sequence[Summary]) -> Floats:
 
 @once
 def _over_floor(summary: Summary) -> Floats:
-    """Return the density (m, k) over the median of its 33 neighbours; nan where that is 0."""
+    """Return the ratio of the density (m, k) to the median of the 33 bins around it; nan where the median is 0."""
     density = summary.spectrum.density
-    mirrored = density.T[:, _mirror(len(density))]  # one line after the other: faster than three, or two dimensions
+    mirrored = density.T[:, _mirror(len(density))]  # filtered as one line: faster than three lines or two dimensions
     floor = median_filter(mirrored.ravel(), size=_NEIGHBOURHOOD).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
     return np.asarray(density / np.where(floor > 0, floor, np.nan))
 
 
 def _score_of_highest(ratio: Floats, freedom: float) -> Floats:
-    """Normal score of the highest of the ratios (m, k) of densities to their floor.
+    """Return the normal score (k,) of the highest of the ratios (m, k) of densities to their floor.
 
-    A density is about chi-squared, its cube root about normal (Wilson and Hilferty, PNAS 17, 1931).
+    A density is nearly chi-squared, and its cube root nearly normal (Wilson and Hilferty, PNAS 17, 1931).
     """
     score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(2 / (9 * freedom))
     return score_of_largest(score, len(ratio))
 
 
 def alternation(summary: Summary) -> Floats:
-    """Return the log of the density at half the rate, which has no twin and counts double, over that of the bins before
-    it.
+    """Return the log of the ratio of twice the density at half the rate to the mean density of the bins before it. The
+    density is doubled because this frequency has no negative counterpart in a one-sided spectrum.
 
-    nan for a chip that is polled much faster than it measures: its readings come in pairs, whose sum with alternating
-    signs consists of the moments at which a poll finds one reading alone.
+    nan for a chip that is polled much faster than it measures: its readings come in pairs, and their sum with
+    alternating signs depends only on the times at which a reading is polled just once.
     """
     density = summary.spectrum.density
     if summary.repeats.repeat_share > _IN_PAIRS:
@@ -90,11 +93,11 @@ def alternation(summary: Summary) -> Floats:
 
 
 def every_other(summary: Summary) -> Floats:
-    """Return the mean of the readings with alternating signs, in its standard errors.
+    """Return the mean of the readings with alternating signs, in units of its standard error.
 
-    An error that follows the number of a reading, as of two converters in turn or of a sensor that is read first in
-    every other frame, adds up over the phase; a line beats with the rows and does not, however near it is to half their
-    rate.
+    An error that depends on the parity of the row, for example with two converters that alternate or a sensor that is
+    read first in every other frame, accumulates over the phase. A line near half the rate beats with the rows and
+    averages out.
     """
     density = np.median(summary.spectrum.density[-_NEIGHBOURHOOD:-2], axis=0)
     square_error = np.where(density > 0, density, np.nan) / (2 * max(summary.rows, 1))
@@ -103,7 +106,7 @@ def every_other(summary: Summary) -> Floats:
 
 @once
 def _bands(summary: Summary) -> Floats:
-    """Return (b, 3) log of the mean density in each band, over the geometric mean."""
+    """Return (b, 3) the log of the ratio of the mean density in each band to the geometric mean over the bands."""
     density = summary.spectrum.density
     edges = _edges(len(density))
     sums = np.add.reduceat(density, edges[:-1], axis=0)
@@ -113,13 +116,15 @@ def _bands(summary: Summary) -> Floats:
 
 @cache
 def _edges(bins: int) -> Places:
-    """First bins of the bands, and the end of the last band."""
+    """Return the first bins of the bands, followed by the end of the last band."""
     return np.rint(np.geomspace(2, bins, BANDS + 1)).astype(int)
 
 
 @cache
 def _mirror(bins: int) -> Places:
-    """Return the bins, and at either end those that a median of `_NEIGHBOURHOOD` reaches for beyond it."""
+    """Return the numbers of the bins, extended at both ends by the mirrored bins that a median filter of
+    `_NEIGHBOURHOOD` bins needs.
+    """
     return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
 
 

@@ -1,4 +1,4 @@
-"""Probes of the noise level and its stability."""
+"""Probes of the noise level and of its stability."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, 
 from imuarray.gap.statistics.summary import Summary
 
 _LEAST = 4
-"""Segments of fewer rows say nothing of a variance."""
+"""Least number of rows of a segment for a variance, and of segments for the scatter of variances."""
 
 _ROUNDED = 1 / 12
-"""Variance of rounding, in counts. One code all through a segment says that there is little more, not that there is
-none: where codes are coarse it happens now and then, and a statistic that is missing then would be the strangest of
-all, in one replicate of a few.
+"""Variance of rounding, in squared counts, used as the least variance of a segment. With coarse codes a segment
+sometimes has a single code although the noise is not zero. If the log of its variance were left undefined, the
+statistic would be missing in a few replicates and would look like a strong deviation.
 """
 
 
@@ -28,20 +28,20 @@ def noise(summary: Summary) -> Floats:
 
 
 def excess(summary: Summary) -> Floats:
-    """Return the log of the standard deviation within segments over the noise from row to row."""
+    """Return the log of the ratio of the standard deviation within segments to the noise from row to row."""
     return np.asarray(log(_pooled_variance(summary)) / 2 - log(noise_lsb(summary)))
 
 
 def halves(summary: Summary) -> Floats:
-    """Return the log of the variance within the segments of the second half over that of the first half."""
+    """Return the log of the ratio of the variance within the segments of the second half to that of the first half."""
     variance, rows = summary.segments.steady_variance, summary.segments.rows
     middle = (len(rows) + 1) // 2
     return log(_mean_variance(variance[middle:], rows[middle:])) - log(_mean_variance(variance[:middle], rows[:middle]))
 
 
 def uneven(summary: Summary) -> Floats:
-    """Return the log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise; no
-    variance is smaller than that of rounding.
+    """Return the log of the ratio of the variance of the segments' log variances to 2 / (rows - 1), the value for
+    Gaussian noise; a variance is at least that of rounding.
     """
     part = summary.segments
     places = (part.rows >= _LEAST).nonzero()[0]
@@ -54,7 +54,9 @@ def uneven(summary: Summary) -> Floats:
 
 
 def with_force(phases: Sequence[Summary]) -> Floats:
-    """Return the log variance on faces where the axis feels gravity, less that on the others."""
+    """Return, for each axis, the mean log variance on faces on which more than 0.5 g acts along the axis, less that on
+    the other faces; nan unless there are phases of both kinds for every axis.
+    """
     if len({phase.phase.up for phase in phases}) < 2:
         return NOTHING
     felt = felt_g(phases)
@@ -73,7 +75,9 @@ def _pooled_variance(summary: Summary) -> Floats:
 
 
 def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
-    """Return (k,) over the segments (s, k), weighted with their rows; nan if no segment has two rows."""
+    """Return the unbiased variance (k,) pooled over the segments (s, k), weighted by their rows; nan if no segment has
+    two rows.
+    """
     places = (rows > 1).nonzero()[0]
     rows_of_places = rows[places]
     freedom = int(rows_of_places.sum()) - len(rows_of_places)

@@ -1,4 +1,4 @@
-"""Probes of the flags, and of words that no sensor sends."""
+"""Probes of the flags of rows, and of words that no sensor sends."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from imuarray.gap.statistics.probes.timing import counts_repeats
 from imuarray.gap.statistics.summary import Summary
 
 _TWICE = 2.0
-"""Readings of a chip between two polls from which on no jitter makes a poll find none."""
+"""Number of readings of a chip between two polls from which on every poll gets a new reading in spite of jitter."""
 
 
 def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
-    """arcsine of the share of rows with these flags, added up."""
+    """Return the arcsine of the sum of the shares of rows with these flags."""
     return arcsine(sum(summary.flags[name] for name in names), summary.rows)
 
 
 def stale(summary: Summary) -> Floats:
-    """arcsine of the share of rows that are no new reading; nan if polls do not tell it, and for a chip that measures
-    at least twice between polls: its flags are of rows that are equal by chance.
+    """Return the arcsine of the share of rows that are not a new reading. nan if the polls do not determine it, and for
+    a chip that measures at least twice between polls: its flagged rows are equal by chance.
     """
     always_new = summary.header.rate_hz * summary.intervals.mean_s >= _TWICE
     return flagged(("stale",), summary) if counts_repeats(summary) and not always_new else np.asarray(np.nan)
 
 
 def words(summary: Summary) -> Floats:
-    """arcsine of the share of rows whose axes all read -1, or all 0."""
+    """Return the arcsine of the share of rows whose axes all read -1, or all 0."""
     return arcsine(summary.words, summary.rows)
 
 

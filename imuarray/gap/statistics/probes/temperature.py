@@ -13,11 +13,13 @@ from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, Probes, log
 from imuarray.gap.statistics.summary import Summary
 
 _LEAST_DEGC = 1.0
-"""A smaller span of temperatures says nothing of a slope."""
+"""Least range of temperatures from which a slope is estimated."""
 
 
 def coefficient(column: int, phases: Sequence[Summary]) -> Floats:
-    """Coefficient of T - mean, its square, or dT/dt, from a fit of the segments' means that ends with this term."""
+    """Return the coefficient (3,) of T - mean (`column` 1), of its square (2), or of dT/dt (3), in the sensor's unit,
+    from a fit of the segments' means with the terms up to this one.
+    """
     table = _table(phases)
     if table is None:
         return NOTHING
@@ -26,8 +28,8 @@ def coefficient(column: int, phases: Sequence[Summary]) -> Floats:
 
 
 def residual(phases: Sequence[Summary]) -> Floats:
-    """Return the log of the variance that the whole fit leaves in the segments' means, over what independent readings
-    give.
+    """Return the log of the ratio of the residual variance of the segments' means after the full fit to that expected
+    for independent readings.
     """
     table = _table(phases)
     if table is None:
@@ -38,7 +40,7 @@ def residual(phases: Sequence[Summary]) -> Floats:
 
 
 def noise_slope(phases: Sequence[Summary]) -> Floats:
-    """Slope of the segments' log variance over temperature."""
+    """Return the slope (3,) of the segments' log variance over temperature, in 1/degC; nan if it has a small range."""
     part = _SegmentColumns(phases)
     if not part.is_warmed:
         return NOTHING
@@ -51,14 +53,14 @@ def noise_slope(phases: Sequence[Summary]) -> Floats:
 
 
 class _SegmentColumns:
-    """The segments of several phases one after the other; a column is joined when it is asked for."""
+    """Segments of several phases, concatenated; a column is computed only when it is used."""
 
     def __init__(self, phases: Sequence[Summary]) -> None:
         self._parts = [phase.segments for phase in phases]
 
     @property
     def is_warmed(self) -> bool:
-        """True if the temperatures span enough for a slope; tested first, as usually they don't."""
+        """True if the range of temperatures is sufficient for a slope; tested first, since it usually is not."""
         return bool(np.fmax.reduce(self.degc) - np.fmin.reduce(self.degc) >= _LEAST_DEGC)
 
     @cached_property
@@ -83,8 +85,9 @@ class _SegmentColumns:
 
 
 def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
-    """Columns 1, T, T^2, dT/dt (s, 4), means (s, 3) in the sensor's unit, expected variance (3,); None if the phases
-    are on different faces or always as warm.
+    """Return the columns 1, T - mean, its square and dT/dt (s, 4), the means (s, 3) in the sensor's unit, and their
+    expected variance (3,). None if the phases are on different faces, if the range of temperatures is less than
+    `_LEAST_DEGC`, or with fewer than 8 segments.
     """
     if len({phase.phase.up for phase in phases}) > 1:
         return None

@@ -1,4 +1,4 @@
-"""Probes of the times of rows, and of repeated readings."""
+"""Probes of the times of rows and of repeated readings."""
 
 from __future__ import annotations
 
@@ -21,60 +21,64 @@ def interval(summary: Summary) -> Floats:
 
 
 def irregularity(summary: Summary) -> Floats:
-    """Return the log of the standard deviation of intervals over their mean, 1e-6 of it at least."""
+    """Return the log of the ratio of the standard deviation of intervals to their mean; the ratio is at least 1e-6."""
     times = summary.intervals
     return np.asarray(log(math.hypot(times.std_s, 1e-6 * times.mean_s)) - log(times.mean_s))
 
 
 def gaps(summary: Summary) -> Floats:
-    """arcsine of the share of intervals that are gaps."""
+    """Return the arcsine of the share of intervals that are gaps."""
     times = summary.intervals
     return arcsine(times.gaps, times.count + times.gaps)
 
 
 def skips(summary: Summary) -> Floats:
-    """arcsine of the share of intervals that are gaps of a few rows, beside stalls of the recorder, which hide them
-    among all gaps; nan without stalls.
+    """Return the arcsine of the share of intervals that are gaps of a few rows, without stalls of the recorder; nan if
+    there are no stalls, since `gaps` then has the same value.
     """
     times = summary.intervals
     return arcsine(times.skips, times.count + times.gaps) if times.skips < times.gaps else np.asarray(np.nan)
 
 
 def longest(summary: Summary) -> Floats:
-    """Return the log of the longest interval over the mean."""
+    """Return the log of the ratio of the longest interval to the mean."""
     return np.asarray(log(summary.intervals.longest_s) - log(summary.intervals.mean_s))
 
 
 MOST_DOUBTFUL = 0.1
-"""Rows that the recorder flags wrongly as no new reading, as a share of all that it flags so, up to which repetitions
-are compared. Where many readings come while they are read, some are read half, and fewer are repeated than polls
-repeat.
+"""Largest share of wrong flags among the rows that the recorder flags as no new reading, up to which repetitions are
+compared. If many readings are updated while they are read, some rows mix two readings, and fewer rows are equal than
+polls repeat a reading.
 """
 
 
 def tells_repetitions(summary: Summary) -> bool:
-    """Return whether the recorder's polls tell how many readings are repeated."""
+    """Return whether the number of repeated readings can be determined from the recorder's polls."""
     doubtful = summary.flags["doubtful"]
     return not doubtful > MOST_DOUBTFUL * (doubtful + summary.flags["stale"])
 
 
 UNEVEN = 10.0
-"""Ratio of readings missed and repeated, either way, within which both are due to uneven polls."""
+"""Largest ratio between the numbers of missed and repeated readings, either way, at which both are attributed to uneven
+polls.
+"""
 
 
 def counts_repeats(summary: Summary) -> bool:
-    """Return whether repeated readings are those of rates, and not of uneven polls.
+    """Return whether repeated readings are caused by different rates of chip and polls, and not by uneven polls.
 
-    A poll that is late by some tenths of a millisecond finds that a reading was missed, and the one before or after it
-    finds none. How often depends on the time from a row's stamp to the moment at which the chip is read, which no log
-    has. Of a chip that is faster than the polls nearly every one finds that a reading was missed.
+    A poll that is late by some tenths of a millisecond misses a reading, and the poll before or after it gets no new
+    one. How often this happens depends on the time between the time stamp of a row and the read-out of the chip, which
+    is not logged. With a chip that is faster than the polls nearly every poll misses a reading.
     """
     flags = summary.flags
     return tells_repetitions(summary) and not (flags["stale"] < UNEVEN * flags["overrun"] < UNEVEN**2 * flags["stale"])
 
 
 def repeats(summary: Summary) -> Floats:
-    """arcsine of the share of rows that equal the one before on all axes; nan if polls do not tell it."""
+    """Return the arcsine of the share of rows that equal the previous one on all axes; nan if the polls do not
+    determine it (`counts_repeats`).
+    """
     if not counts_repeats(summary):
         return np.asarray(np.nan)
     share = summary.repeats.repeat_share
@@ -82,18 +86,18 @@ def repeats(summary: Summary) -> Floats:
 
 
 def repeats_in_all(phases: Sequence[Summary]) -> Floats:
-    """Return the arcsine of the share of rows of several phases that equal the one before on all axes; nan for fewer
-    than two phases of which polls tell it.
+    """Return the arcsine of the share of rows of several phases that equal the previous one on all axes; nan with fewer
+    than two phases in which the polls determine it.
 
-    A few rows that are repeated now and then are beyond chance in all phases together before they are in any of them.
+    Rare repetitions can be significant in all phases together although they are not in any single phase.
     """
     repeated, rows = _repeated_rows(phases)
     return arcsine(repeated, rows)
 
 
 def _repeated_rows(phases: Sequence[Summary]) -> tuple[float, int]:
-    """Return the number of rows that repeat the one before, and that of all rows that may; 0 for fewer than two
-    phases of which polls tell it.
+    """Return the number of rows that equal the previous one and the number of all rows but the first of each phase; 0
+    for both with fewer than two phases in which the polls determine it.
     """
     counted = [phase for phase in phases if phase.rows > 1 and counts_repeats(phase)]
     if len(counted) < _FEWEST_PHASES:
@@ -104,24 +108,28 @@ def _repeated_rows(phases: Sequence[Summary]) -> tuple[float, int]:
 
 _FEWEST_PHASES = 2
 _FORM = 0.25
-"""Relative error of the share of readings that are equal by chance: a noise that is no normal one makes it, and no
-number of rows reduces it.
+"""Relative error of the share of readings that are equal by chance. It is caused by noise that is not normal and is not
+reduced by a larger number of rows.
 """
 
 
 def _resolution_in_all(phases: Sequence[Summary]) -> float:
-    """Standard error of a share of all rows, and what `_FORM` makes of the arcsine of the present share."""
+    """Return the resolution of `repeats_in_all`: the standard error of the arcsine of a share of all rows, and the
+    change of the arcsine of the measured share by `_FORM`, added in quadrature.
+    """
     repeated, rows = _repeated_rows(phases)
     return math.hypot(0.5, _FORM / 2 * math.sqrt(repeated)) / math.sqrt(max(rows, 1))
 
 
 def longest_repeat(summary: Summary) -> Floats:
-    """Return rows of the longest run of equal rows. The length of chance runs has an exponential tail."""
+    """Return the number of rows in the longest run of equal rows. The distribution of chance runs has an exponential
+    tail.
+    """
     return np.asarray(float(summary.repeats.longest))
 
 
 def _hundredth(_: Summary) -> float:
-    """Resolution of logs of a scatter that may be very small."""
+    """Return the resolution of the log of a scatter that may be very small: 0.01."""
     return 0.01
 
 

@@ -1,7 +1,7 @@
-"""Probe of a gyroscope's response to the turns from one rest to the next, by the direction of gravity at both ends.
+"""Probe of a gyroscope's response to the turns between two rests, from the direction of gravity before and after.
 
-It needs neither another gyroscope nor an instrument, and is coarse: a rate is the mean of a part of the turn, and an
-attitude is known to a degree or two.
+It needs neither another gyroscope nor an instrument. It is coarse: rates are means over parts of the turn, and
+attitudes are known to one or two degrees.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.units import SI_PER_UNIT
 
 _BY_ATTITUDES = 0.1
-"""Change of a factor that attitudes make which are wrong by some degrees, where a turn goes about several axes."""
+"""Error of a factor that attitude errors of some degrees cause in a turn about several axes."""
 
 
 def factor(log: LogSummary, sensor: str) -> Floats:
-    """Return the factor (3,) of each axis's readings by which the turns lead from each attitude to the next, the other
-    axes as they are; nan where the box hardly turns about an axis, and of other sensors than gyroscopes.
+    """Return, for each axis, the factor (3,) of its readings with which the turns lead from each attitude to the next,
+    with the readings of the other axes unchanged; nan where the box hardly turns about an axis, and for sensors other
+    than gyroscopes.
     """
     return factors_of(turns_of(log).get(sensor, []))
 
 
 @once
 def turns_of(log: LogSummary) -> dict[str, list[Turn]]:
-    """Return the turns between attitudes that are known, as each gyroscope without its bias shows them, in its own
+    """Return, for each gyroscope, the turns between known attitudes, from its readings without bias, along its own
     axes.
     """
     turns: dict[str, list[Turn]] = {}
@@ -42,8 +43,8 @@ def turns_of(log: LogSummary) -> dict[str, list[Turn]]:
 
 
 def turn_of(summary: Summary, ups_box: tuple[Up, Up]) -> Turn | None:
-    """Return a gyroscope's turn between two directions up in the box's frame, by readings without bias, in its own
-    axes; None of other sensors.
+    """Return a gyroscope's turn between two directions up in the box's frame, from readings without bias, along its own
+    axes; None for other sensors.
     """
     header = summary.header
     if header.quantity != "angular_rate":
