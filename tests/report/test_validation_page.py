@@ -23,7 +23,7 @@ from imuarray.validation.rates import Bin, RateEstimate
 from imuarray.validation.score_rows import Closure, Confusion, DetectionCurve, ScoreRow
 from imuarray.validation.scoring import Figures, format_row, score_folder
 from tests.html_page import Page
-from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, put, said
+from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, gap_diagnosis, put
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\frac{$ `|` \x1b[2J"
 COMMAND = "imuarray gap validate --half sealed <here>"
@@ -42,12 +42,12 @@ ORDER = [
 def filled(made: Made, name: str = "mains_ripple", effect: str = "tone") -> Figures:
     """40 controls, 2 of them alarms; 10 of a mechanism, 9 of them right, one of them taken for `effect`."""
     for number in range(40):
-        made.both("none", said(cause(effect, 0.3)) if number < 2 else NO_GAP)
+        made.both("none", gap_diagnosis(cause(effect, 0.3)) if number < 2 else NO_GAP)
     for number in range(10):
-        diagnosis = said(cause("tone" if number else "scale", 0.85), closed=0.8 if number else 0.1)
+        diagnosis = gap_diagnosis(cause("tone" if number else "scale", 0.85), closed=0.8 if number else 0.1)
         made.both("single", diagnosis, put(name, 5.0), resembles=[("tone",)], oracle=0.82)
     made.both("single", NO_GAP, put(name, 2.0), resembles=[("tone",)], plan=EVIL if effect == EVIL else "static")
-    made.both("single", said(cause(effect, 0.1)), put("torn_reads", THERE_OR_NOT), resembles=[("scale",)])
+    made.both("single", gap_diagnosis(cause(effect, 0.1)), put("torn_reads", THERE_OR_NOT), resembles=[("scale",)])
     made.answer(made.case("none"), {}, error=f"ValueError: {effect}")
     return score_folder(made.folder)
 
