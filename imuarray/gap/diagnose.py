@@ -90,13 +90,13 @@ Progress = Callable[[str], None]
 """Receives the name of each stage as it begins."""
 
 REPLICATES = 128
-"""Most replicates of the base model. They determine the scatter of statistics to 6 %, and a p-value is 1/129 or more.
-Fewer are simulated for a recording that is well within chance (`imuarray.gap.inference.comparison.ENOUGH`) or far
-beyond it (`imuarray.gap.inference.comparison.CLEAR`).
+"""Largest number of replicates of the base model. They determine the scatter of statistics to 6 %, and a p-value is at
+least 1/129. Fewer are simulated for a recording that is well within chance (`imuarray.gap.inference.comparison.ENOUGH`)
+or far beyond it (`imuarray.gap.inference.comparison.CLEAR`).
 """
 
 REPAIRED = 32
-"""Replicates of the model with its causes."""
+"""Number of replicates of the model with its causes."""
 
 _FIRST_REPAIRED = 2_000_000
 
@@ -105,8 +105,9 @@ _FIRST_REPAIRED = 2_000_000
 class GapCase:
     """The recordings under diagnosis and their comparison with the base model or with `earlier` recordings.
 
-    `as_noted` is the same comparison with the noted faces, if some were wrong (`wrong_labels`); the model, the seed,
-    and the runner of the bench's functions; `missing`: what could not be compared.
+    `as_noted` is the same comparison with the noted faces, if some were wrong (`wrong_labels`). `model` and `seed` are
+    those of the comparison, `run` is the runner of the bench's functions, and `missing` names what could not be
+    compared.
     """
 
     recordings: Sequence[Recording]
@@ -121,7 +122,7 @@ class GapCase:
 
     @property
     def names(self) -> list[str]:
-        """The logs' names."""
+        """The names of the logs."""
         return [recording.name for recording in self.recordings]
 
     @property
@@ -131,12 +132,12 @@ class GapCase:
 
     @property
     def is_gap(self) -> bool:
-        """True if the recordings as noted differ by more than chance."""
+        """True if the recordings, with the noted faces, differ by more than chance."""
         return self.as_noted.localisation.is_gap
 
     @property
     def model_name(self) -> str:
-        """The name of what the recordings are compared with."""
+        """The name of the reference of the recordings."""
         name = self.model.name if self.model else "data sheets"
         before = ", ".join(recording.name for recording in self.earlier)
         return f"{name}, fitted to {before}" if before else name
@@ -168,15 +169,15 @@ class Verification:
 
 @dataclass(frozen=True)
 class Reference:
-    """The thing that recordings are compared with: the base model of `model` (None: of the data sheets), or `earlier`
-    recordings of the same array if there are any.
+    """The reference of the recordings: the base model of `model` (None: of the data sheets), or `earlier` recordings of
+    the same array if any are given.
     """
 
     model: Model | None = None
     earlier: Sequence[Recording] = ()
 
 
-# The interface of the package, promised by name to its users: keyword-only, those of the command.
+# The public interface of the package: keyword-only arguments, named like the options of the command.
 def diagnose(  # noqa: PLR0913
     logs: LogLike | Iterable[LogLike],
     *,
@@ -190,26 +191,26 @@ def diagnose(  # noqa: PLR0913
     progress: Progress = lambda stage: None,
     bar: Bar = no_bar,
 ) -> Diagnosis:
-    """Find where recordings of an array differ from what the simulator makes of them, why, and how far causes close
-    that.
+    """Find where recordings of an array differ from what the simulator makes of them, the causes, and the share of the
+    gap that they close.
 
-    `logs` are paths, or open logs, which stay open (one, or several); of any experiments (static, tumble, heating,
-    turn-on, motion), all of one array. `model` is what the simulator has: a model, its file, or the name of one that
-    comes with the package ("datasheet", "martin2013"); without, it has what the data sheets of the chips say. `only`
-    names the sensors to look at (none: all accelerometers and gyroscopes), `without` effects to leave out of the
-    library of causes.
+    `logs` are paths, or open logs, which stay open (one, or several), of any experiments (static, tumble, heating,
+    turn-on, motion), all of one array. `model` is the simulator's model: a model, its file, or the name of one that is
+    part of the package ("datasheet", "martin2013"); by default that of the chips' data sheets. `only` names the sensors
+    to compare (none: all accelerometers and gyroscopes), `without` the effects to leave out of the library of causes.
 
     `against` are earlier logs of the same array. With these the question is what has changed since then: noise, bias
-    and slope are those of the earlier logs, and what the earlier logs show of a statistic is taken off the new ones
-    (`imuarray.gap.inference.comparison`). Statistics that the earlier logs tell nothing of are not compared.
+    and slope are those of the earlier logs, and the deviation of each statistic in the earlier logs is subtracted from
+    that in the new ones (`imuarray.gap.inference.comparison`). Statistics that the earlier logs do not determine are
+    not compared.
 
     `seed` keys every draw: the same logs and seed give the same diagnosis, whatever the number of `workers`, which are
-    processes (a program that asks for several needs the usual ``if __name__ == "__main__":``). `replicates` of the base
-    model separate chance from a gap; at least 40 are needed. `progress` is called with the name of each stage; `bar`
-    makes the function that is called with the number of jobs that are done.
+    processes (a program that uses several needs the usual ``if __name__ == "__main__":``). `replicates` of the base
+    model distinguish a gap from chance; at least 40 are needed. `progress` is called with the name of each stage; `bar`
+    makes the function that is called with the number of completed jobs.
 
-    LogError for a log that can't be read, in which nothing can be compared, or that is of another array; ConfigError
-    for an effect or a model that isn't known.
+    Raises LogError for a log that cannot be read, in which nothing can be compared, or that is of another array;
+    ConfigError for an effect or a model that is not known.
 
     >>> diagnosis = diagnose(["run.h5"], only=["Gyro1"], replicates=40)
     >>> diagnosis.verdict in ("no gap", "explained", "partly explained", "unexplained")
@@ -268,10 +269,10 @@ def explain(
     *,
     briefly: bool = False,
 ) -> Diagnosis:
-    """Search the causes among `candidates`, verify them and make the findings: the rest of `diagnose`.
+    """Search for the causes among `candidates`, verify them and make the findings: the rest of `diagnose`.
 
-    `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.search_causes`). `briefly`:
-    without curves and next experiment, for which more is simulated.
+    `known`: sensors that are known to have one of the candidates (`imuarray.gap.inference.search.search_causes`).
+    `briefly`: without curves and next experiment, which need further simulations.
     """
     search = _search(case, candidates, progress, known)
     progress("simulating the repaired model")
@@ -283,7 +284,7 @@ def explain(
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
     """Return the candidates except those left out; ConfigError for a name that is no effect. Some effects are always
-    nuisance quantities and never causes: leaving them out changes nothing.
+    nuisance quantities and never causes, so leaving them out changes nothing.
     """
     if unknown := sorted(set(without) - set(EFFECTS)):
         raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}{guess(unknown[0], EFFECTS)}")
@@ -304,7 +305,7 @@ def _open(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
 def _read(
     logs: Sequence[Log], against: Sequence[Log], only: Collection[str]
 ) -> tuple[Sequence[Recording], Sequence[Recording]]:
-    """Return the recordings and the earlier ones, with the sensors that both have, cut to pieces of one length."""
+    """Return the recordings and the earlier ones, with the sensors that both have, cut into pieces of one length."""
     recordings = recordings_of(logs, only)
     if not against:
         return recordings, ()
@@ -357,7 +358,7 @@ def _without_counterpart(domains: Sequence[str], bench: Bench) -> tuple[str, ...
 def _search(
     case: GapCase, candidates: Mapping[str, Candidate], progress: Progress, known: Collection[str]
 ) -> SearchResult:
-    """Return the causes of the gap, none where there is none."""
+    """Return the causes of the gap; none without a gap."""
     comparison = case.comparison
     if not comparison.localisation.is_gap:
         return SearchResult({}, comparison.bench.models())
@@ -435,8 +436,8 @@ def _report(
 
 
 def _judge(case: GapCase, verification: Verification, remainder: Remainder, suspected: Sequence[Cause]) -> Judgement:
-    """Judge the suspected causes, with the gap that they close on the held-out part, or on both if single parts don't
-    show them.
+    """Judge the suspected causes by the share of the gap that they close on the held-out part, or on both parts if
+    single parts do not show them.
     """
     pairs, before, after = case.comparison.pairs, case.as_noted.assessment, verification.after
     if needs_both_parts(suspected):
@@ -460,7 +461,7 @@ def _remainder(
 
 
 def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
-    """Return the statistics in which the recordings as noted differ, the worst first."""
+    """Return the statistics in which the recordings, with the noted faces, differ; the worst first."""
     noted = case.as_noted
     if noted is not case.comparison:
         report = StatisticReport(noted.bench, noted.campaign, noted.pairs, case.names)
@@ -471,8 +472,8 @@ def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
 def _unobservable(
     case: GapCase, candidates: Mapping[str, Candidate], suspected: Sequence[Cause], report: StatisticReport
 ) -> tuple[Unobservable, ...]:
-    """Candidates other than the causes that the recordings can't show; without a gap, also those that are not
-    excluded.
+    """Return the candidates other than the causes that the recordings cannot show; without a gap, also those that are
+    not excluded.
     """
     comparison, suspected_effects = case.comparison, {cause.effect for cause in suspected}
     others = {name: candidate for name, candidate in candidates.items() if name not in suspected_effects}
@@ -497,8 +498,8 @@ def _notes(
     sensor_causes: Sequence[Cause],
     shared: Sequence[SharedSignal],
 ) -> tuple[str, ...]:
-    """Notes on unexplained and on all lines of the spectrum, on bias changes that units of a chip share, on what the
-    box felt, and on assumptions about each recording.
+    """Return notes on unexplained and on all lines of the spectrum, on bias changes that units of a chip share, on
+    signals that sensors share, and on assumptions about each recording.
     """
     comparison, bench = case.comparison, case.comparison.bench
     lines = unexplained_lines(comparison.campaign, unexplained, case.names)
@@ -514,8 +515,8 @@ def _notes(
 
 
 def _pulls(case: GapCase, causes: Sequence[Cause]) -> tuple[Pull, ...]:
-    """Nuisance quantities of all sensors with a tolerance, as fitted to the training part, with causes that may have
-    made them.
+    """Return the nuisance quantities of all sensors with a tolerance, as fitted to the training part, with causes that
+    may explain them.
     """
     comparison = case.comparison
     train = comparison.bench.split.train(comparison.campaign)
@@ -525,7 +526,7 @@ def _pulls(case: GapCase, causes: Sequence[Cause]) -> tuple[Pull, ...]:
 
 
 def _overlays(case: GapCase, search: SearchResult, where: Sequence[Where]) -> tuple[Overlay, ...]:
-    """Curves of the recording and of both models."""
+    """Return the curves of the recording and of both models."""
     comparison, bench = case.comparison, case.comparison.bench
     return overlays_of(bench, comparison.campaign, where, (bench.models(), search.models), case.run, case.names)
 

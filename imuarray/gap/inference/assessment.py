@@ -1,17 +1,15 @@
-"""Assessment of a recording by replicates of one model: its scores, where they are beyond chance, and residuals.
+"""Assessment of a recording by replicates of one model: its scores, the significant ones, and residuals.
 
-Gaps are localised by scores against the largest that chance gives, down a tree of the array: the array, its chips,
-their units, the axes, domains of statistics, and single statistics. A node is significant if its parent is and its
-largest score exceeds the largest among it and its siblings without a gap, where siblings with larger scores, which were
+Gaps are localised by comparing scores with the largest ones by chance, down a tree of the array: the array, its chips,
+their units, the axes, domains of statistics, and single statistics. A node is significant if its parent is, and if its
+largest score exceeds the largest one by chance among it and its siblings. Siblings with larger scores, which were
 tested before it, do not count (step-down: Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008).
-Every step down thus pays for the choice it makes, and nothing is tested below a node that is not significant. The
-pooled scores of a sensor in a log (`imuarray.gap.statistics.pooled`) count where the recording deviates most among
-these.
+Each step down thus accounts for the selection, and nothing is tested below a node that is not significant. The pooled
+scores of a sensor in a log (`imuarray.gap.statistics.pooled`) belong to the statistic of the pool that deviates most.
 
-A cause of another form than the real one can fit every single statistic by its scatter: rare glitches of either sign
-make a skewness of 5 as likely as one of -5, but not forty phases with skewness of one sign. The residuals of the
-repaired model are therefore averaged over phases and over axes as well, and the averages compared with those of its
-replicates.
+A cause of a wrong form can fit every single statistic by its scatter: rare glitches of either sign make a skewness of 5
+as likely as one of -5, but not forty phases with skewness of one sign. The residuals of the repaired model are
+therefore averaged over phases and over axes as well, and the averages are compared with those of its replicates.
 """
 
 from __future__ import annotations
@@ -32,19 +30,19 @@ from imuarray.gap.statistics.tails import NO_TAILS, Tails, normal_scores_by_othe
 from imuarray.log.format import SensorHeader
 
 MORE = 1.25
-"""Factor by which the remainder has to exceed chance to be significant: no effect has exactly the form of the
+"""Factor by which the remainder must exceed chance to be significant, because no effect has exactly the form of the
 real one.
 """
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """A recording against one model.
+    """A recording compared with one model.
 
-    Scores (m,) of pairs in standard deviations and as `normal` scores (`imuarray.gap.statistics.tails`), those (n,) of
-    their parts, the `deviation` of these from the model's location, the model's `likelihood`, and how often chance
-    gives as large a normal score (`p`); `limit` is reached by chance in one of twenty campaigns, `furthest` is the
-    largest chance value. `tails` of the scores of pairs.
+    Scores (m,) of pairs in standard deviations and as `normal` scores (`imuarray.gap.statistics.tails`); scores (n,) of
+    their `parts`, the `deviation` of these from the model's location, and the model's `likelihood`; the probability `p`
+    of a largest normal score of this size by chance. Chance reaches `limit` in one of twenty campaigns; `furthest` is
+    its largest value. `tails` are those of the scores of pairs.
     """
 
     scores: Floats
@@ -59,8 +57,8 @@ class Assessment:
 
 
 def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance: Floats | None = None) -> Assessment:
-    """Assess a recording by replicates (b, n) of the model. The chance level is given by scores `chance` (b, m) of
-    replicates, by default each scored by the others.
+    """Assess a recording by replicates (b, n) of the model. The chance level follows from the scores `chance` (b, m) of
+    replicates; by default each replicate is scored by the others.
     """
     likelihood = likelihood_of(replicates, floor)
     chance = scores_by_others(pairs, replicates, floor) if chance is None else chance
@@ -84,12 +82,12 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
 
 
 def largest_of(scores: Floats) -> Floats:
-    """Return the largest absolute score (...,) of scores (..., m), 0 where there is none."""
+    """Return the largest absolute score (...,) of scores (..., m); 0 without scores."""
     return np.asarray(np.nan_to_num(np.abs(scores)).max(axis=-1, initial=0.0))
 
 
 LEVEL = 0.05
-"""Share of campaigns without a gap in which one is detected."""
+"""Share of campaigns without a gap in which a gap is detected."""
 
 LEVELS = ("array", "chip", "sensor", "axis", "domain", "statistic")
 """The levels of the tree, from its root."""
@@ -97,8 +95,9 @@ LEVELS = ("array", "chip", "sensor", "axis", "domain", "statistic")
 
 @dataclass(frozen=True)
 class Node:
-    """A place named by its `path` from the array, (): its `largest` score in size, and `p`: how often chance gives as
-    large a score among it and its siblings, not below its parent's. Nodes that are not significant have no children.
+    """A place in the array, named by its `path` from the array, (). `largest` is its largest absolute score; `p` the
+    probability of a score of this size by chance among it and its siblings, at least its parent's. A node that is not
+    significant has no children.
     """
 
     path: tuple[str, ...]
@@ -126,7 +125,7 @@ class Node:
 @dataclass(frozen=True)
 class Localisation:
     """The scores (m,) under `keys` that are beyond chance: the tree, and the p of each significant statistic by its
-    place, the largest score first. `limit`: reached by chance by a single score in `level` of all campaigns.
+    place, the largest score first. Chance reaches `limit` with a single score in the share `level` of all campaigns.
     """
 
     root: Node
@@ -135,7 +134,7 @@ class Localisation:
 
     @property
     def p(self) -> float:
-        """p of there being no gap."""
+        """The p-value of the whole array, without a gap."""
         return self.root.p
 
     @property
@@ -152,8 +151,8 @@ def localise(
     pooled: PooledScores | None = None,
     level: float = LEVEL,
 ) -> Localisation:
-    """Localise the gap by scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled` scores
-    of the recording and these.
+    """Localise the gap by the scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled`
+    scores of the recording and of the replicates.
 
     `level` is the share of false alarms; ValueError if there are too few replicates for it.
     """
@@ -172,8 +171,8 @@ def localise(
 
 
 def p_value(value: float, chance: Floats) -> float:
-    """Return the share of `chance` (b,) and the value itself that is as large: never 0, and exact if the value has the
-    same distribution (the Monte Carlo test of Barnard 1963).
+    """Return the p-value of a value by `chance` (b,): the share of `chance` and the value itself that is at least as
+    large. It is never 0, and exact if the value has the same distribution (the Monte Carlo test of Barnard 1963).
     """
     return float((1 + np.count_nonzero(chance >= value)) / (1 + len(chance)))
 
@@ -187,12 +186,14 @@ class _Tree:
         self._sizes, self._chance = np.nan_to_num(np.abs(scores)), np.nan_to_num(np.abs(chance))
 
     def root(self) -> Node:
-        """Return the whole array; it has no siblings."""
+        """Return the node of the whole array, which has no siblings."""
         columns = list(range(len(self._paths)))
         return self._node((), columns, self._largest(columns), 0.0)
 
     def _node(self, path: tuple[str, ...], columns: list[int], chance: Floats, parent_p: float) -> Node:
-        """`chance` is the largest score among the node and the siblings tested after it, in each replicate."""
+        """Return the node; `chance` is the largest score among it and the siblings tested after it, in each
+        replicate.
+        """
         largest = float(self._sizes[columns].max(initial=0.0))
         p = max(parent_p, p_value(largest, chance))
         is_significant = p <= self._level
@@ -200,7 +201,7 @@ class _Tree:
         return Node(path, largest, p, is_significant, children)
 
     def _below(self, path: tuple[str, ...], columns: list[int], p: float) -> Iterator[Node]:
-        """Yield the children, those with the largest scores first; none has a smaller p than the one before it."""
+        """Yield the children, those with the largest scores first; the p of each is at least that of the one before."""
         parts: dict[str, list[int]] = {}
         for column in columns:
             parts.setdefault(self._paths[column][len(path)], []).append(column)
@@ -221,21 +222,21 @@ def _path(number: int, key: Key, header: SensorHeader) -> tuple[str, ...]:
 
 
 LEAST = 12
-"""Fewest statistics of a group: levels of runs, and statistics of a whole log, come twice on each axis and are judged
+"""Fewest statistics of a group. Levels of runs, and statistics of a whole log, occur twice on each axis and are judged
 singly.
 """
 
 _WILD = 5.0
 _LEAST_SPREAD = 0.5
-"""Least scatter of scores, over the root of their number, for averages that hardly scatter."""
+"""Least scatter of scores, to be divided by the root of their number, for averages that hardly scatter."""
 
 
 class GroupResidual(NamedTuple):
     """One probe of one sensor over all phases, of one `axis` or of all ("").
 
-    Its `places` among n statistics, the deviation of their mean from that of the replicates (`score`, in standard
-    deviations, with an allowance for the causes' form), and the largest such score of any replicate in any group by the
-    others (`furthest`, the same for all).
+    `places` of the group among n statistics; `score`: deviation of their mean from that of the replicates, in standard
+    deviations, with an allowance for the causes' form; `furthest`: the largest score of any replicate in any group,
+    each scored by the others (the same for all groups).
     """
 
     sensor: str
@@ -252,10 +253,10 @@ def group_residuals(
     """Return the systematic residuals, the worst first, of n statistics of the recording (`real`) and of `replicates`
     (b, n) of the model with its causes.
 
-    `after` is the likelihood of that model, `before` that of the base model. Causes are allowed the relative error of
+    `after` is the likelihood of that model, `before` that of the base model. The causes are allowed a relative error of
     form of their shifts. Single statistics count up to five standard deviations, so that none dominates. The
-    correlation of axes is ignored: effects are drawn for each axis, although a supply, or a bearing, has one course for
-    all.
+    correlation of axes is ignored: effects are drawn for each axis, although a supply, or a bearing, acts on all axes
+    alike.
     """
     scores, real_scores = (np.clip(after.scores(values), -_WILD, _WILD) for values in (replicates, real))
     shift = np.nan_to_num(np.abs(after.location - before.location))
@@ -291,7 +292,7 @@ def _groups(keys: Sequence[Key], says: Booleans) -> Iterator[tuple[str, str, str
 
 
 def _by_others(means: Floats, least: Floats) -> Floats:
-    """Means (b, g) of each replicate, in standard deviations (at least `least`) of the others'."""
+    """Return the means (b, g) of each replicate, in standard deviations (at least `least`) of those of the others."""
     count = len(means)
     deviation = (means - means.mean(axis=0)) * count / (count - 1)
     squares = ((means - means.mean(axis=0)) ** 2).sum(axis=0) - deviation**2 * (count - 1) / count

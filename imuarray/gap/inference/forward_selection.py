@@ -1,10 +1,10 @@
 """Forward selection of causes: guesses of every candidate, the likely ones refined, the best judged on held-out data.
 
-Every round looks at each unit whose recording its models don't explain. Guesses are ranked by the training part, the
-best few refined on it (`refine`), the best of these simulated repeatedly and scored on the held-out part, together with
-a placebo: a line at an arbitrary frequency, refined like the others. The best hypothesis that makes the held-out part
-likelier, by more than the placebo and chance do, is taken into the unit's models, and the next round searches what is
-still missing.
+Every round treats each unit whose recording its models do not explain. Guesses are ranked by the training part. The
+best few are refined on it (`refine`), and the best of these are simulated repeatedly and scored on the held-out part,
+together with a placebo: a line at an arbitrary frequency, refined like the others. The best hypothesis that makes the
+held-out part likelier, by more than the placebo and chance do, is added to the unit's models. The next round searches
+for what is still missing.
 """
 
 from __future__ import annotations
@@ -47,58 +47,64 @@ from imuarray.simulate.effects.bias import PopcornNoise
 from imuarray.simulate.effects.noise import Tone
 
 REFINED, CONFIRMED = 4, 3
-"""Most trials of a unit that are refined, and confirmed, in a round."""
+"""Largest number of trials of a unit that are refined, and that are confirmed, in a round."""
 
 WORTH = 2.0
-"""Least gain in nats on the training part of a trial that is pursued."""
+"""Gain in nats on the training part from which on a trial is pursued."""
 
 ACCEPTED = 3.0
-"""Least gain in nats of a cause on the held-out part, over the placebo's: 20 to 1."""
+"""Gain in nats of a cause on the held-out part, beyond the placebo's, from which on it is accepted: odds of 20 to 1."""
 
 COST = 1.0
-"""Cost in nats of every free parameter: of two that explain as much the simpler one is the cause (Akaike 1974)."""
+"""Cost in nats of each free parameter: of two trials that explain the same, the simpler one is the cause (Akaike 1974).
+"""
 
 _MOST_BEHIND = 15.0
-"""Nats by which a guess may be worse than the best one to be refined or confirmed; or half of its gain."""
+"""Nats by which the gain of a guess that is refined or confirmed may be less than the best gain; or half of that
+gain, if that is more.
+"""
 
 _TIME_VARYING = frozenset(
     {"turn_on_bias", "bistable_bias", "bias_instability", "random_walk", "popcorn_noise", "thermal_bias", "thermal_lag"}
 )
-"""Effects that change by themselves in time: more of them in a spell than in the rest says nothing."""
+"""Effects that change in time by themselves: a stronger effect in a spell than in the rest is then not a difference."""
 
 _WANDERS = frozenset({"bias_instability", "random_walk"})
-"""Effects by which a bias wanders slowly."""
+"""Effects that make a bias wander slowly."""
 
 _DIVIDED, _LOST = 3, 2.0
-"""Trials of a unit that are tried in some logs alone, if the others lose so many nats by them."""
+"""Most trials of a unit that are tried in some logs alone, and the nats that the other logs must lose by a trial."""
 
 _NARROWINGS, _MOMENTS = 4, 6
-"""Times that the beginning of a trial is narrowed down, and moments tried each time: to 1/150 of a motion."""
+"""Number of times that the beginning of a trial is narrowed down, and of moments tried each time: to 1/150 of a motion.
+"""
 
 BRIEF = 4.0
-"""Cost in nats, to the mean of both parts, of the choice of a moment: to their sum twice as much, the log of thousands
-of moments.
+"""Cost in nats, to the mean of both parts, of the choice of a moment. The cost to their sum is twice this, the log of
+thousands of moments.
 """
 
 _INDIFFERENT = 0.1
 """Nats that a held-out part may lose by a cause that it does not show."""
 
 _OUTDONE, _FAR_LESS = 10.0, 0.5
-"""Cost in nats of leaving twice the squared scores of another trial that gains as much."""
+"""Cost in nats of a trial if another one gains as much and leaves less than this share of its squared scores."""
 
 _FAINT, _NOWHERE = 0.05, (math.sqrt(5) - 1) / 4
-"""Amplitude of the placebo over the noise, and its frequency over the rate of rows: no simple fraction."""
+"""Amplitude of the placebo relative to the noise, and its frequency relative to the rate of rows: not a simple
+fraction.
+"""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluation of a refined trial: the state of the unit with it, and its gain in nats on the training and on the
-    held-out part (of a brief one, which a part may not show, the mean of both).
+    """Evaluation of a refined trial: the state of the unit with it, and its gain in nats on the training part and on
+    the held-out part (for a trial that needs both parts, the mean of both).
 
-    `own_share` of the gain comes from the unit's own statistics, not from its motion relative to others. `independent`
-    is the independent share of the statistics that it moves, with it in the model: a slow drift moves many of them
-    together. `squared_scores` is the sum of squares of the held-out part with it (`scores_by_wider`), `closes` whether
-    that decreased.
+    `own_share` is the share of the gain that the unit's own statistics contribute, as opposed to its motion relative to
+    others. `independent` is the independent share of the statistics that the trial changes, with the trial in the
+    model: a slow drift changes many of them together. `squared_scores` is the sum of squared scores of the held-out
+    part with the trial (`scores_by_wider`); `closes` is true if the trial does not increase it.
     """
 
     hypothesis: FittedHypothesis
@@ -112,12 +118,12 @@ class Evaluation:
 
     @property
     def factors(self) -> int:
-        """The number of fitted numbers."""
+        """The number of fitted parameters."""
         return len(factors_of(self.hypothesis.trial))
 
     @property
     def gain_of_both(self) -> float:
-        """Gain in nats on both parts together; of a trial that needs both, less the cost of the choice of a moment."""
+        """Gain in nats on both parts together; for a trial that needs both, less the cost of the choice of a moment."""
         return 2 * self.gain if self.trial.needs_both else self.train_gain + self.gain
 
     @property
@@ -129,7 +135,7 @@ class Evaluation:
 @dataclass(frozen=True)
 class Round:
     """The result of one round for a unit in the state `before`: all confirmed trials, the likeliest first, the
-    placebo's gain, and the selected one (None: nothing).
+    placebo's gain, and the selected trial (None: none).
     """
 
     before: UnitState
@@ -139,14 +145,16 @@ class Round:
 
     @property
     def log_odds(self) -> tuple[float, ...]:
-        """Log odds of each confirmed trial against nothing new: its gain, tempered by the independence of statistics
-        with the best one, less the cost of its parameters.
+        """Log odds of each confirmed trial against no change: its gain, tempered by the independence of the statistics
+        of the trial that gains most, less the cost of its parameters.
         """
         return _log_odds(self.before, self.confirmed)
 
 
 def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[Hypothesis]:
-    """Return all trials that one sensor's evidence suggests, by all logs and by parts of them, without duplicates."""
+    """Return all trials that one sensor's evidence suggests, from all logs and from parts of them, without
+    duplicates.
+    """
     return distinct(
         trial if not part.when.spans else trial.at(part.when)
         for part in views(evidence)
@@ -157,7 +165,7 @@ def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[
 
 
 def placebo_of(evidence: Evidence) -> Hypothesis:
-    """Return a weak line where none was detected, as free as a real one."""
+    """Return a weak line at a frequency without a detected line, with the free parameters of a real line."""
     return Hypothesis((Tone(triple(_FAINT * evidence.noise), _NOWHERE * evidence.rows_per_s),), ("amplitude",))
 
 
@@ -168,7 +176,9 @@ def search_round(
     run: Run,
     known: bool = False,
 ) -> dict[Unit, Round]:
-    """One round over all units at once. If it is `known` that one of the trials is right, none needs proof."""
+    """Perform one round over all units at once. If it is `known` that one of the trials is right, no proof is
+    needed.
+    """
     looks = look_in_turns(run, standings, trials)
     for unit, looks_at_parts in _partly(run, standings, looks).items():
         looks[unit] += looks_at_parts
@@ -191,8 +201,8 @@ def search_round(
 
 
 def _needs_placebo(standing: UnitState, evaluations: Sequence[Evaluation]) -> bool:
-    """Return whether a placebo is to be told, or may change the selection: it raises what a cause has to gain, which is
-    needless for a family in which none gains enough.
+    """Return whether a placebo is reported, or may change the selection. It raises the gain that a cause needs, so it
+    is not needed for a family without a trial that gains enough.
     """
     return len(standing.unit) == 1 or _round(standing, evaluations, False).selection is not None
 
@@ -200,11 +210,11 @@ def _needs_placebo(standing: UnitState, evaluations: Sequence[Evaluation]) -> bo
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
     """Return the best trials that gain enough and are not far behind, at most two of each form.
 
-    In any case the best one of another form than the first one's is among them: a guess of a wrong form may fit the
+    The best trial of another form than the first one's is always included, because a guess of a wrong form may fit the
     training part best.
 
-    Gains on the training part alone and on both parts can't be compared: where the `count` best are all of one kind,
-    the best of the other kind is added.
+    Gains on the training part alone and on both parts cannot be compared: if the `count` best are all of one kind, the
+    best of the other kind is added.
     """
     several = [trial for trial in trials if trial.models is not None]
     likely = _likeliest(several, count)
@@ -228,8 +238,8 @@ def _likeliest(trials: Sequence[FittedHypothesis], count: int) -> list[FittedHyp
 
 
 def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> list[StatisticValues]:
-    """Return the unit's statistics in replicates of its models; those that a single sensor shares with others are left
-    out.
+    """Return the unit's statistics in replicates of its models, without those that a single sensor shares with
+    others.
     """
     replicates = bench.replicates([(standing.models, number) for number in numbers], other_models=standing.other_models)
     columns = bench.among(standing.unit, standing.unit)
@@ -244,7 +254,7 @@ def replicate_state(bench: Bench, standing: UnitState) -> UnitState:
 
 
 def look_state(bench: Bench, standing: UnitState) -> UnitState:
-    """Return the state with the few replicates of its models that looks need."""
+    """Return the state with the few replicates of its models that a look at a trial needs."""
     replicates = replicates_of(bench, standing, NUMBERS[:LOOKS])
     return replace(standing, values=np.array([replicate.values for replicate in replicates]))
 
@@ -274,7 +284,7 @@ def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> 
 def look_in_turns(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """Return a look at all trials, without those that can gain nothing, as one of their `precursors` has to."""
+    """Return a look at all trials, without those that cannot gain because none of their `precursors` gains."""
     before = {unit: precursors(several) for unit, several in trials.items()}
     seen: dict[Unit, dict[int, FittedHypothesis]] = {unit: {} for unit in trials}
     waiting = {unit: list(range(len(several))) for unit, several in trials.items()}
@@ -300,15 +310,15 @@ def look_in_turns(
 
 
 def _any_gains(looks: Mapping[int, FittedHypothesis], places: Sequence[int], when: When) -> bool:
-    """Return whether any of the trials at these places gains something where another one acts `when`, of those that
-    were looked at.
+    """Return whether any of the trials at these places that were looked at gains in the spans `when` of another
+    trial.
     """
     return any(at in looks and _gains(looks[at], {span.log for span in when.spans}) for at in places)
 
 
 def _gains(look: FittedHypothesis, logs: Collection[int]) -> bool:
-    """Return whether a trial gains something: in one of these `logs`, if it acts in others too and shows in these;
-    otherwise in all logs, or in one of them if a part of the logs may have the effect (`_is_divisible`).
+    """Return whether a trial gains: in one of these `logs`, if it is shared, acts in other logs too and shows in these;
+    otherwise in all logs together, or in one of them if a part of the logs may have the effect (`_is_divisible`).
     """
     by_log = look.by_log if look.trial.shared and _is_divisible(look.trial) else {}
     shown = [by_log[log] for log in logs if by_log.get(log)]
@@ -316,11 +326,12 @@ def _gains(look: FittedHypothesis, logs: Collection[int]) -> bool:
 
 
 def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
-    """Return for each trial the places of those one of which gains something if it does.
+    """Return, for each trial, the places of its precursors: it can gain only if one of them gains.
 
-    Of an effect on several axes it is the same effect on some of these: guesses are of the axes that show it, and of
-    all. Of telegraph noise, whose autocovariance is that of Gauss-Markov noise, these are all slow wanders. Of what
-    sensors share for a while it is what they share always, of any size: it gains in the logs with that while.
+    For an effect on several axes, the precursors are the same effect on some of these axes: guesses are made for the
+    axes that show it, and for all. For telegraph noise, whose autocovariance is that of Gauss-Markov noise, they are
+    all slow wanders. For an effect that sensors share for a while, they are the effect that they always share, of any
+    size: it gains in the logs that contain the while.
     """
     wanders = [at for at, trial in enumerate(trials) if trial.name in _WANDERS and not trial.needs_both]
     narrower: list[list[int]] = [
@@ -338,13 +349,13 @@ def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
 
 
 def _is_same_in_time(trial: Hypothesis, other: Hypothesis) -> bool:
-    """Return whether two trials are of one form and in the same sensors."""
+    """Return whether two trials have the same form and concern the same sensors."""
     same = (trial.form, trial.sensor, trial.others, trial.members, trial.everywhere)
     return same == (other.form, other.sensor, other.others, other.members, other.everywhere)
 
 
 def _is_narrower(trial: Hypothesis, other: Hypothesis) -> bool:
-    """Return whether a trial is another one on fewer axes."""
+    """Return whether a trial is the same as another one on fewer axes."""
     if trial.form != other.form or len(trial.effects) != len(other.effects):
         return False
     fewer, more = set(active_axes(trial)), set(active_axes(other))
@@ -357,7 +368,7 @@ def _is_narrower(trial: Hypothesis, other: Hypothesis) -> bool:
 def _look_at_all(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """Return a look at all trials, a few of a unit in each job."""
+    """Return a look at all trials, a few trials of a unit in each job."""
     most = TOGETHER
     parts = {
         unit: [unit_trials[first : first + most] for first in range(0, len(unit_trials), most)]
@@ -370,11 +381,11 @@ def _look_at_all(
 def _partly(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """Trials in parts of the campaign.
+    """Return looks at trials in parts of the campaign.
 
-    Trials that explain some logs and make others less likely are tried in only those logs, or parts of them, that they
-    explain; trials in a part of a log that lasts to its end, in the logs after it too. Both parts of the campaign
-    decide which these are.
+    A trial that explains some logs and makes others less likely is tried in only the logs, or the parts of logs, that
+    it explains. A trial in a part of a log that lasts to its end is tried in the later logs too. Both parts of the
+    campaign determine these logs.
     """
     divided = {
         unit: [replace(look.trial, whole=True) for look in _divided(unit_looks)] for unit, unit_looks in looks.items()
@@ -393,8 +404,8 @@ def _partly(
 def _narrow(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """Return the best trial of each unit and effect whose beginning lies within known moments, as in a motion, at the
-    beginning that explains most.
+    """Return the best trial of each unit and effect whose beginning lies between known moments, as in a motion, with
+    the beginning that explains most.
     """
     best: dict[Unit, list[FittedHypothesis]] = {}
     for unit, unit_looks in looks.items():
@@ -415,7 +426,7 @@ def _narrow(
 
 
 def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis]:
-    """Return the look at each effect that gains most."""
+    """Return, for each effect, the look that gains most."""
     best: dict[str, FittedHypothesis] = {}
     for look in looks:
         if look.trial.name not in best or look.gain > best[look.trial.name].gain:
@@ -424,8 +435,8 @@ def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis
 
 
 def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
-    """Yield each trial in the logs that it explains; if a spell of the same effect explains a log
-    better, in the spell.
+    """Yield each trial in the logs that it explains; in a spell, if a spell of the same effect explains the log
+    better.
     """
     for look in looks:
         best = {log: (gain, in_logs([log])) for log, gain in look.by_log.items() if gain > EACH_NUMBER}
@@ -448,13 +459,13 @@ def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
 
 
 def gaining_of(looks: Sequence[FittedHypothesis]) -> list[Hypothesis]:
-    """Return the trials that may be pursued: those that gain something, in all logs or in a part of them."""
+    """Return the trials that may be pursued: those that gain in all logs or in a part of them."""
     divided = [look.trial for look in _divided(looks)]
     return [look.trial for look in looks if look.gain > 0 or any(look.trial is trial for trial in divided)]
 
 
 def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
-    """Return looks of which some logs gain enough and others lose; those that gain most first, one of each form."""
+    """Return the looks with which some logs gain enough and others lose; the largest gain first, one of each form."""
     best_of_form: dict[tuple[str, ...], tuple[float, FittedHypothesis]] = {}
     for look in looks:
         gain = sum(max(log_gain, 0.0) for log_gain in look.by_log.values())
@@ -466,7 +477,7 @@ def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
 
 
 def _is_divisible(trial: Hypothesis) -> bool:
-    """Return whether a part of the logs may have what the trial gives to all."""
+    """Return whether a part of the logs may have the effect that the trial adds to all."""
     return bool(trial.effects) and not trial.when.spans and not trial.is_brief
 
 
@@ -498,8 +509,8 @@ def _results_of(
 
 
 def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: bool, known: bool = False) -> Round:
-    """Return the round's result; the last evaluation is the placebo if it `has_placebo`. If one trial is `known` to be
-    right, the likeliest is taken.
+    """Return the round's result; the last evaluation is the placebo's if `has_placebo`. If one trial is `known` to be
+    right, the likeliest is selected.
     """
     real, bar = (
         (evaluations[:-1], _tempering(standing, evaluations[-1]) * evaluations[-1].gain)
@@ -511,7 +522,7 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
         return Round(standing, ranked, bar, next((evaluation for evaluation in ranked if evaluation.gain > 0), None))
     least = ACCEPTED + max(bar, 0.0)
     selection = _select(standing, ranked, least)
-    if selection is None or selection.trial.needs_both:  # against that one the others are judged by both parts too
+    if selection is None or selection.trial.needs_both:  # judge the other trials by both parts too
         on_both = (_on_both_parts(each) if _needs_both_parts(standing, each) else each for each in ranked)
         ranked_on_both = _rank(standing, tuple(on_both))
         if (likeliest_on_both := _select(standing, ranked_on_both, least)) is not None:
@@ -532,8 +543,8 @@ def _select(standing: UnitState, ranked: Sequence[Evaluation], least: float) -> 
 
 
 def _needs_both_parts(standing: UnitState, evaluation: Evaluation) -> bool:
-    """True for a lasting cause that the training part alone shows beyond the choice among thousands, while the held-out
-    part has nothing against it: not every motion reaches the end of a range twice.
+    """Return true for a lasting cause that the training part alone shows, even with a choice among thousands, if the
+    held-out part does not contradict it: some motions reach the end of a range only once.
     """
     if evaluation.trial.needs_both or evaluation.gain < -_INDIFFERENT:
         return False
@@ -552,14 +563,14 @@ def _on_both_parts(evaluation: Evaluation) -> Evaluation:
 
 
 def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
-    """Return the gain in nats by which a trial is taken.
+    """Return the gain in nats by which a trial is selected.
 
-    It has to show in the training part too, to which its numbers are fitted. A trial without such numbers (an exchange
-    of axes) may show in the held-out part alone, which has all of the faces, or the only motion: it is judged as one
-    that happens once, by the sum of both parts, less the cost of that choice.
+    The trial must also gain on the training part, to which its parameters are fitted. A trial without parameters (an
+    exchange of axes) may gain on the held-out part alone, if that contains all the faces, or the only motion. It is
+    then judged like an effect that occurs once, by the sum of both parts, less the cost of that choice.
     """
     if evaluation.trial.needs_both:
-        return evaluation.gain_of_both  # what happens once may show in one part alone: both count, untempered
+        return evaluation.gain_of_both  # one part alone may show a single event: both count, untempered
     temper = _tempering(standing, evaluation)
     if max(temper, 1.0) * evaluation.train_gain > WORTH:
         return temper * evaluation.gain
@@ -571,24 +582,24 @@ def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
 def scores_by_wider(before: SyntheticLikelihood, after: SyntheticLikelihood, real: Floats) -> Floats:
     """Return the scores (n,) of the recording after a change, by the larger of the scatters before and after it.
 
-    A change of the times of rows draws all noise anew, and by the chance of few replicates hundreds of statistics then
-    scatter by half of what they did, or by twice that: the narrower ones would hide that a cause closes the gap.
+    A change of the times of rows draws all noise anew. With few replicates, hundreds of statistics then scatter by half
+    or twice as much by chance, and the narrower ones would hide that a cause closes the gap.
     """
     return replace(after, scale=np.fmax(before.scale, after.scale)).scores(real)
 
 
 def _squares(scores: Floats) -> float:
-    """Return the sum of squared scores, nan as 0."""
+    """Return the sum of squared scores; nan counts as 0."""
     return float((np.nan_to_num(scores) ** 2).sum())
 
 
 def _tempering(standing: UnitState, evaluation: Evaluation) -> float:
-    """Return the factor of a gain.
+    """Return the factor by which a gain is multiplied.
 
-    A misalignment within the chip's population moves many statistics by about a standard deviation, all for one reason,
-    so its gain counts less. A curved response over temperature moves a handful of independent ones, which the
-    dependence of the others does not reduce. Gains from motion relative to others depend on these as well, and count no
-    more.
+    A misalignment within the chip's population changes many statistics by about a standard deviation, all for one
+    reason, so its gain counts less. A curved response over temperature changes a few independent statistics, which the
+    dependence of the others does not affect. Gains from motion relative to others depend on these as well, and never
+    count more.
     """
     ratio = evaluation.independent / standing.independent
     own_share = min(max(evaluation.own_share, 0.0), 1.0)
@@ -609,8 +620,8 @@ def _log_odds(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[f
 
 
 def _is_outdone(evaluation: Evaluation, evaluations: Sequence[Evaluation]) -> bool:
-    """Return whether another that gains as much leaves far smaller scores: a score of 100 costs little more nats than
-    one of 30.
+    """Return whether another trial gains at least as much and leaves far smaller scores: in nats, a score of 100 costs
+    little more than a score of 30.
     """
     return any(
         other.gain >= evaluation.gain and other.squared_scores < _FAR_LESS * evaluation.squared_scores

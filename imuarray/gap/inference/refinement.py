@@ -1,8 +1,8 @@
 """Refinement of a trial: its parameters fitted to the training part by simulation, with the ordinary ones re-adapted.
 
-The free numbers of a trial are each a guess times a factor. Gauss-Newton steps in the logs of the factors bring the
-simulated statistics to the recorded ones; the replicates are always the same draws, so that their differences are the
-effect of a step and not of chance. After each step the ordinary parameters are corrected by the difference between the
+The free parameters of a trial are guesses, each multiplied by a factor. Gauss-Newton steps in the logs of the factors
+bring the simulated statistics to the recorded ones. The replicates always use the same draws, so their differences are
+due to a step and not to chance. After each step the ordinary parameters are corrected by the difference between the
 fits of the replicates and of the recording (indirect inference, Gourieroux, Monfort and Renault 1993).
 """
 
@@ -40,8 +40,8 @@ _SAME_FREE, _SAME = 0.2, 0.01
 class Factor(NamedTuple):
     """A free parameter of a trial's effect, or one number of it.
 
-    `place` in its list, of an `axis` 0, 1, 2, with the number `turn` on that axis (a 3x3 response has three for each);
-    None: it has no axes.
+    `place` in the list of numbers, `axis` 0, 1 or 2 of the number, and its position `turn` on that axis (a 3x3 response
+    has three numbers for each axis); None: the parameter has no axes.
     """
 
     effect: int
@@ -70,8 +70,8 @@ def factors_of(trial: Hypothesis) -> list[Factor]:
 
 
 def move_factors(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
-    """Return the trial with its factors times exp(steps), those of the other sensors' effects of the same kind alike;
-    shares and probabilities stay below 1.
+    """Return the trial with its factors multiplied by exp(steps); those of the other sensors' effects of the same kind
+    too. Probabilities stay at 1 or below, and other parameters within the trial's limits.
     """
     effects, opposite = list(trial.effects), list(trial.opposite)
     for factor, step in zip(factors, steps.tolist(), strict=True):
@@ -96,8 +96,8 @@ def _scale(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple
 
 
 def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
-    """Return the trials except those that begin so near an earlier one that both would be refined
-    to the same result.
+    """Return the trials without those that begin so near an earlier one that both would be refined to the same
+    result.
     """
     by_form: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
     distinct_trials = []
@@ -113,7 +113,7 @@ def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
 
 
 def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
-    """Return all numbers and texts of the effects, and the relative difference within which each is the same."""
+    """Return all numbers and texts of the effects, and the relative difference within which each counts as the same."""
     numbers: list[float] = []
     reach: list[float] = []
     for effect in (*trial.effects, *trial.opposite):
@@ -136,18 +136,18 @@ def _near(first: Floats, other: Floats, reach: Floats) -> bool:
 
 
 def active_axes(trial: Hypothesis) -> list[int]:
-    """Return the axes on which the trial's first effect does something, if it has amplitudes by axis."""
+    """Return the axes on which the trial's first effect acts, if it has amplitudes by axis."""
     amplitudes = [getattr(trial.effects[0], name) for name in _amplitudes(trial.effects[0])] if trial.effects else []
     return [axis for axis in range(3) if any(value[axis] for value in amplitudes)]
 
 
 def _amplitudes(effect: Effect) -> Iterator[str]:
-    """Return parameters by axis that do nothing where they are 0."""
+    """Return the names of the parameters by axis with which the effect does not act on an axis if they are 0."""
     return (item.name for item in fields(effect) if item.metadata.get("per_axis") and item.default == (0.0, 0.0, 0.0))
 
 
 def without(effect: Effect, axes: set[int]) -> Effect:
-    """Return the effect with nothing on these axes."""
+    """Return the effect without these axes."""
     changes = {
         name: tuple(0.0 if axis in axes else item for axis, item in enumerate(getattr(effect, name)))
         for name in _amplitudes(effect)
@@ -160,7 +160,7 @@ _NUDGE = 0.25
 """Step in the log of a factor for numerical slopes."""
 
 _FURTHEST = 1.2
-"""Largest step in the log of a factor; slopes hold no further."""
+"""Largest step in the log of a factor; slopes are not valid further away."""
 
 _PRIOR = 2.0
 """Prior standard deviation of the log of a factor."""
@@ -169,18 +169,20 @@ _AXIS_GAIN = 1.5
 """Least gain in nats of an axis on which the effect is kept."""
 
 _MORE_LOOKS, _WIDER, _MUCH = 4, 1.5, 0.02
-"""Replicates of a change that makes more than the last figure's share of the statistics so many times wider."""
+"""A change is simulated in `_MORE_LOOKS` replicates if it makes more than the share `_MUCH` of the statistics more than
+`_WIDER` times wider.
+"""
 
 _DONE = 0.03
 _ADAPTED, _FITS = 2, 0.5
-"""Most adaptations of the noise, which end when the misfit is smaller than so many nats."""
+"""Largest number of adaptations of the noise, and the misfit in nats above the present models' below which they end."""
 
 
 @dataclass(frozen=True)
 class FittedHypothesis:
-    """A trial with its refined parameters: the models with it, its gain in nats on the training part, the factor by
-    which that counts (`counts_of`); `models` is None if it wasn't, or can't be, simulated. `by_log`: gains of single
-    logs, by their numbers, of a look.
+    """A trial with its refined parameters: the models with it, its gain in nats on the training part, and the factor by
+    which the gain counts (`counts_of`). `models` is None if the trial was not, or cannot be, simulated. `by_log`: gains
+    of single logs, by their numbers, after a look.
     """
 
     trial: Hypothesis
@@ -191,7 +193,7 @@ class FittedHypothesis:
 
 
 def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> list[FittedHypothesis]:
-    """Return each trial with its gain as guessed, whatever its effect on the noise, which isn't adapted yet."""
+    """Return each trial with its gain as guessed, without its effect on the noise, which is not adapted yet."""
     models = [standing.changed(trial) for trial in trials]
     fitted = [FittedHypothesis(trial) for trial in trials]
     for whole in (False, True):
@@ -233,7 +235,7 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
 
 
 def _adapt(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState:
-    """Return the trial with its noise adapted, so that lines do not grow where noise should shrink; unchanged if that
+    """Return the trial with its noise adapted, so that lines do not grow if the noise has to shrink; unchanged if that
     is no better.
     """
     trial, best, now, before = start.hypothesis.trial, start, start, None
@@ -251,8 +253,8 @@ def _adapt(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState
 
 
 class _TrialStatistics(NamedTuple):
-    """Replicates of models: values (r, n), likelihood and shift, their fits, the models with ordinary parameters
-    corrected by these, and the misfit in nats.
+    """Replicates of models: values (r, n), likelihood and shift, their fits, the models with ordinary parameters that
+    are corrected by the fits, and the misfit in nats.
     """
 
     values: Floats
@@ -275,12 +277,12 @@ def _gained(state: _TrialState) -> float:
 
 
 def _widens(standing: UnitState, statistics: _TrialStatistics) -> bool:
-    """Return whether the change adds much scatter: then two draws of it say little."""
+    """Return whether the change adds so much scatter that two draws of it do not determine its effect."""
     return bool(np.mean(statistics.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
 
 
 def _simulate(bench: Bench, standing: UnitState, trial: Hypothesis, models: Models, looks: int) -> _TrialState | None:
-    """Simulate a trial with these models in so many replicates; None for parameters that an effect refuses."""
+    """Simulate a trial with these models in `looks` replicates; None for parameters that an effect refuses."""
     statistics = _replicate(bench, standing, models, trial.needs_both, looks)
     if statistics is None:
         return None
@@ -297,10 +299,10 @@ def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, c
 def _replicate_each(
     bench: Bench, standing: UnitState, several: Sequence[Models], whole: bool, count: int
 ) -> list[_TrialStatistics | None]:
-    """`_replicate` for several models of the same sensors, with so many replicates of each."""
+    """Return `_replicate` for several models of the same sensors, with `count` replicates of each."""
     if not several:
         return []
-    # replicates of one number after the other: they have draws, motions and neighbours in common
+    # replicates of one number follow each other, because they share draws, motions and neighbours
     requests = [(models, number) for number in NUMBERS[:count] for models in several]
     try:
         values = bench.replicates(requests, held_out=whole, other_models=standing.other_models)
@@ -329,15 +331,15 @@ def _replicated_from(
 
 
 def _gain(standing: UnitState, statistics: _TrialStatistics, trial: Hypothesis) -> float:
-    """Return the gain on the training part; for a trial that needs both parts the mean of both gains, unless it is
-    brief and seen in one.
+    """Return the gain on the training part; for a trial that needs both parts, the mean of both gains, or their sum if
+    it is brief, because one part alone may show it.
     """
     gain = float(gains_of(standing, statistics.likelihood, statistics.shift).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
 def _by_log(bench: Bench, standing: UnitState, statistics: _TrialStatistics) -> dict[int, float]:
-    """Return the gains of statistics of single logs."""
+    """Return the gains of the statistics of single logs."""
     gains, logs = gains_of(standing, statistics.likelihood, statistics.shift), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
@@ -351,8 +353,8 @@ def _slopes(
 ) -> Floats:
     """Return the change (n, k) of each statistic with the log of each factor.
 
-    The axes of one parameter are changed together, since an axis depends on its own; statistics of a whole sensor are
-    divided among them.
+    The axes of one parameter are changed together, because an axis depends on its own factor. The change of a statistic
+    of the whole sensor is divided among them.
     """
     unit = standing.unit
     columns = bench.own(unit)
@@ -381,7 +383,8 @@ def _nudge(
 ) -> list[tuple[float, Floats]]:
     """Return, for each group of factors, the step in their logarithms and the statistics after it.
 
-    The step is upwards, or downwards where that cannot be simulated; if neither can, the statistics are the old ones.
+    The step is upwards, or downwards if an upward step cannot be simulated; if neither can, the statistics are the old
+    ones.
     """
     outcomes = [(_NUDGE, statistics.values)] * len(groups)
     open_groups = list(range(len(groups)))
@@ -407,7 +410,7 @@ def _nudge(
 
 
 def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> Floats:
-    """Best changes (k,) of the logs of the factors."""
+    """Return the best changes (k,) of the logs of the factors."""
     likelihood = statistics.likelihood
     known = np.isfinite(likelihood.location) & np.isfinite(standing.real) & np.isfinite(likelihood.scale)
     deviation = np.where(known, standing.real - likelihood.location, 0.0)
@@ -419,7 +422,7 @@ def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> 
 
 
 def regress(design: Floats, scores: Floats, weight: Floats) -> Floats:
-    """Return coefficients (k,) by weighted least squares of scores (n,) on a design (n, k), with a prior towards 0.
+    """Return the coefficients (k,) by weighted least squares of scores (n,) on a design (n, k), with a prior towards 0.
     Collinear columns share what they explain, however large it is.
     """
     root, count = np.sqrt(weight), design.shape[1]
@@ -428,13 +431,13 @@ def regress(design: Floats, scores: Floats, weight: Floats) -> Floats:
 
 
 def _with_fitted(models: Models, settled: Models) -> Models:
-    """`models` with the ordinary parameters of `settled`."""
+    """Return `models` with the ordinary parameters of `settled`."""
     return {name: replace(model, fitted=settled[name].fitted) for name, model in models.items()}
 
 
 def _prune(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialState:
-    """Return the trial without the axes that gain too little, unless that costs more: an axis of 0 is without the
-    effect, but the offset that another range has on an axis is not.
+    """Return the trial without the axes that gain too little, unless that costs more. An amplitude of 0 on an axis
+    removes the effect from it, but the offset of another range does not.
     """
     active = active_axes(state.hypothesis.trial)
     if len(active) < 2:
@@ -454,8 +457,8 @@ def _prune(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialState
 
 
 def _most_of(gains: Floats, touched: Booleans, is_of_axis: Booleans) -> float:
-    """Return the gain in nats of an axis by all of its own statistics, or by those that the effect touches, if that is
-    more: a hundred levels that are slightly off for one reason cost as many times what one costs.
+    """Return the gain in nats of an axis by all of its own statistics, or by those that the effect changes, if that is
+    more: a hundred levels that deviate slightly for one reason cost a hundred times as much as one.
     """
     return max(float(gains[is_of_axis].sum()), float(gains[is_of_axis & touched].sum()))
 

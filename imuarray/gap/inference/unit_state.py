@@ -1,4 +1,4 @@
-"""The state of the search for a unit (a sensor, or a family): its model, the statistics under it, and the recorded
+"""The state of the search for a unit (a sensor, or a family): its model, the model's statistics, and the recorded
 ones.
 """
 
@@ -30,10 +30,10 @@ FitsOfReplicates = Sequence[Mapping[str, FittedParameters]]
 """Parameters fitted to replicates, sensor by sensor."""
 
 REPLICATES = 8
-"""Replicates by which a refined trial is judged."""
+"""Number of replicates by which a refined trial is judged."""
 
 LOOKS = 2
-"""The first of these, by which a guess is ranked and refined."""
+"""Number of the first of these replicates, by which a guess is ranked and refined."""
 
 NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
 """The numbers of these replicates; the null distribution uses others."""
@@ -43,13 +43,13 @@ NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
 class UnitState:
     """The state of a unit with its present `models`.
 
-    n statistics of the recording (`real`) and under the models: their `likelihood`, and their `values` (r, n) in the
-    replicates `NUMBERS`, by which changes are compared; `target`, the parameters fitted to the recording;
-    `independent`, the independent share of the statistics; `other_models` of other sensors, on which statistics of
-    motion depend. `probes` (n,) numbers the probes, whose statistics move together, and `scatter_group` (n,) those of
-    each axis and kind of log, which have the same scatter (None: unknown). `misfit` is the loss in nats by the models'
-    noise. `separate_share` (n,) is the independent share of those statistics that depend on few others (None: there are
-    none).
+    `real` (n,): statistics of the recording; `likelihood`: that of the models; `values` (r, n): statistics in the
+    replicates `NUMBERS`, by which changes are compared; `target`: the parameters fitted to the recording;
+    `independent`: the independent share of the statistics; `other_models`: those of other sensors, on which statistics
+    of motion depend. `probes` (n,) numbers the probes, whose statistics change together, and `scatter_group` (n,) the
+    groups of one axis and kind of log, which have the same scatter (None: unknown). `misfit` is the loss in nats due to
+    the models' noise. `separate_share` (n,) is the independent share of the statistics that depend on few others (None:
+    no statistic does).
     """
 
     unit: Unit
@@ -67,7 +67,7 @@ class UnitState:
 
     @property
     def weight(self) -> Floats | float:
-        """Weight (n,) of each statistic: the independent share of all, or of the separate ones."""
+        """Weight (n,) of each statistic: the independent share of all statistics, or that of the separate ones."""
         return self.independent if self.separate_share is None else np.fmax(self.separate_share, self.independent)
 
     @property
@@ -76,8 +76,8 @@ class UnitState:
         return self.likelihood.scores(self.real)
 
     def changed(self, trial: Hypothesis) -> Models:
-        """Return the models with the trial's change of each sensor, or of its own, and the opposite change of the
-        others.
+        """Return the models after the trial: its change of each sensor, or of its own sensor, and the opposite change
+        of the others.
         """
         effects = dict.fromkeys(trial.others if trial.opposite else (), trial.opposite)
         if trial.sensor:
@@ -95,9 +95,9 @@ class UnitState:
     def settled(
         self, models: Models, fits: FitsOfReplicates, before: tuple[Models, FitsOfReplicates] | None = None
     ) -> Models:
-        """`models` with ordinary parameters corrected by the difference between the recording's fit and the `fits` of
-        their replicates; by these and the fits of the models `before`, if given. Those of a sensor that reads another's
-        data have no effect and are kept.
+        """Return `models` with ordinary parameters corrected by the difference between the recording's fit and the
+        `fits` of their replicates; by these and the fits of the models `before`, if given. The parameters of a sensor
+        that reads another's data have no effect and stay.
         """
         return {name: self._settled(name, model, fits, before) for name, model in models.items()}
 
@@ -114,8 +114,8 @@ class UnitState:
         return replace(model, fitted=model.fitted.between(self.target[name], simulated, *last))
 
     def misfit_of(self, headers: Mapping[str, SensorHeader], fits: FitsOfReplicates) -> float:
-        """Loss in nats of models whose replicates' `fits` have another noise than the recording's: statistics relative
-        to that noise do not distinguish a line from one of twice its amplitude.
+        """Return the loss in nats of models whose replicates' `fits` have another noise than the recording's:
+        statistics relative to the noise do not distinguish a line from one of twice its amplitude.
         """
         lost = 0.0
         for name, target in self.target.items():
@@ -126,7 +126,7 @@ class UnitState:
 
 
 def reads_another(model: SensorModel) -> bool:
-    """Return whether a sensor has another's data all of the time, so that nothing of its own shows."""
+    """Return whether a sensor always has another's data, so that its own data never show."""
     return any(
         isinstance(effect, ChannelSwap) and effect.kind != "place" and not effect.spans for effect in model.added
     )
@@ -141,7 +141,7 @@ def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:
 
 def update_likelihood(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
     """Return the likelihood after a change, and the shift (n,) of each statistic, from its replicates (r, n) and the
-    first r of those without it. Draws are the same in both, so that a few replicates suffice.
+    first r of those without it. Both use the same draws, so a few replicates suffice.
     """
     before, without = standing.likelihood, standing.values[: len(values)]
     shifts, has_value = values - without, np.isfinite(values)
@@ -154,23 +154,23 @@ def update_likelihood(standing: UnitState, values: Floats) -> tuple[SyntheticLik
     scatter_group = None if standing.scatter_group is None else standing.scatter_group[known]
     ratio = _spread_ratio(values[:, known], without[:, known], before.scale[known], scatter_group)
     scale[known] *= ratio
-    # where a change takes the scatter away, as a delay that outdoes the noise, it doesn't matter where the same
-    # replicates lay before it (a control variate, of a weight that is at most the ratio)
+    # if a change removes the scatter, as a delay that exceeds the noise does, the values before it do not matter (a
+    # control variate with a weight of at most the ratio)
     weight, straight = np.minimum(ratio, 1.0), np.nanmean(values[:, known], axis=0)
     paired = weight * location[known] + (1 - weight) * straight
     location[known] = np.where(np.isfinite(location[known]), paired, location[known])
-    if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
+    if len(values) >= _PAIRS:  # a statistic that no longer scatters has its present value
         least = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
         same = has_value.all(axis=0) & (np.ptp(values, axis=0) < least)
         location[same] = values[:, same].mean(axis=0)
     scale = np.fmax(np.fmax(scale, _SAME * (1 + np.abs(location))), least_scale(before))
-    fresh = has_value.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
+    fresh = has_value.all(axis=0) & ~np.isfinite(before.location)  # has values only after the change
     alone = likelihood_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
     scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
     missing_in_both = ~has_value.any(axis=0) & ~np.isfinite(without).any(
         axis=0
-    )  # as what is shared with sensors beside the unit
+    )  # as statistics that are shared with sensors outside the unit
     never = ~has_value.any(axis=0) & ~missing_in_both
     location[never & before.always] = np.nan
     always = (before.always & (has_value.all(axis=0) | missing_in_both)) | fresh
@@ -179,8 +179,8 @@ def update_likelihood(standing: UnitState, values: Floats) -> tuple[SyntheticLik
 
 
 def _branched(before: SyntheticLikelihood, shifts: Floats, shift: Floats) -> tuple[Floats, Floats]:
-    """Outcome of each replicate (k, n), on top of the branches of effects before, and the scatter there (n,); a
-    replicate without the change gets the mean shift.
+    """Return the outcomes (k, n) of each replicate, added to the branches of the effects before, and their scatter
+    (n,). A replicate without the change gets the mean shift.
     """
     if before.branches is None or before.width is None:
         return before.location + shifts, before.scale
@@ -189,30 +189,31 @@ def _branched(before: SyntheticLikelihood, shifts: Floats, shift: Floats) -> tup
 
 
 def least_scale(before: SyntheticLikelihood) -> Floats:
-    """Return the least scale (n,) under a model with more effects: where a single event dominates chance, no statistic
-    is known better than the event's form.
+    """Return the least scale (n,) under a model with more effects. If a single event dominates chance, no statistic is
+    known more precisely than the form of the event.
     """
     return FORM * before.scale
 
 
 def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> Floats:
-    """Return the log-likelihood ratio (n,) of each recorded statistic by a change, in nats; they add up."""
+    """Return the log-likelihood ratio (n,) of each recorded statistic due to a change, in nats; they add up."""
     before = standing.likelihood.log_density(standing.real)
     return standing.weight * (likelihood.log_density(standing.real, shift) - before)
 
 
 def affected_mask(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, shift: Floats) -> Booleans:
-    """Return the mask (n,) of the statistics that a change moved, widened or narrowed beyond chance."""
+    """Return the mask (n,) of the statistics that a change shifts, widens or narrows beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
     return np.asarray((np.abs(shift) > before.scale) | widened)
 
 
 def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> float:
-    """Return the factor of a gain whose statistics are more independent than those of the whole unit, at least 1.
+    """Return the factor, at least 1, of the gain of a change whose statistics are more independent than those of the
+    whole unit.
 
-    The few statistics that a curved response moves are independent, whatever hundreds of levels do; that a change moves
-    many for one reason is considered when it is judged.
+    The few statistics that a curved response shifts are independent, even if hundreds of levels are not. A change that
+    shifts many statistics for one reason counts less when it is judged.
     """
     touched = affected_mask(standing.likelihood, likelihood, shift)
     if not touched.any() or len(standing.values) < _PAIRS:
@@ -261,16 +262,17 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group:
 
 
 def _added(shifts: Floats, scatter_group: Indices | None) -> Floats:
-    """Return (n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
+    """Return (n,) the variance of the shifts (r, n) of few replicates, in standard deviations; 0 for a single
+    replicate.
 
-    Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of
-    those alike, as if that were known from `_LIKE_IT` more replicates (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).
+    Two shifts that agree by chance do not determine the variance. Each variance is combined with the mean of its group,
+    which counts as `_LIKE_IT` more replicates (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).
     """
     freedom = np.isfinite(shifts).sum(axis=0) - 1
     variance = np.zeros(shifts.shape[1])
     several = freedom > 0
     variance[several] = np.nanvar(shifts[:, several], axis=0, ddof=1)
-    touched = several & (variance > 0)  # of the part that isn't simulated nothing moves
+    touched = several & (variance > 0)  # the part that is not simulated has no shifts
     for group in np.unique(scatter_group[touched]) if scatter_group is not None else ():
         is_in_group = touched & (scatter_group == group)
         variance[is_in_group] = (
@@ -280,7 +282,7 @@ def _added(shifts: Floats, scatter_group: Indices | None) -> Floats:
 
 
 _NOISE_SURE = 0.05
-"""Relative error of a noise, as a fit tells it and as a form may have it."""
+"""Relative error of a noise, due to its fit and its form."""
 
 _PAIRS = 6
 _INDEPENDENT = 2.0
