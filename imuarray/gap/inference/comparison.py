@@ -1,24 +1,24 @@
-"""Comparison of a recorded campaign with replicates of its model: statistics, the chance level, and where they differ;
-and with earlier recordings of the same array in the simulator's place: what changed since then.
+"""Comparison of a recorded campaign with replicates of its model: statistics, the chance level, and the significant
+differences. Or with earlier recordings of the same array instead of the simulator: the changes since then.
 
-The method of earlier recordings calibrates the simulator at every statistic. The parameters of the base model (noise,
-bias, slope) are fitted to the earlier recordings, and nothing is fitted to the new one. Each statistic of the new
-recording has counterparts in the earlier ones: the same probe of the same sensor and axis, in a phase of the same name
-of a log of the same kind, else in a phase of that name, else in any phase at rest. The *discrepancy* of a statistic is
-the distance of its counterparts from the middle of their own replicates (the median over them). It is the error of the
+With earlier recordings, the simulator is calibrated at every statistic. The parameters of the base model (noise, bias,
+slope) are fitted to the earlier recordings, and nothing is fitted to the new one. Each statistic of the new recording
+has counterparts in the earlier ones: the same probe of the same sensor and axis, in a phase of the same name of a log
+of the same kind, else in a phase of that name, else in any phase at rest. The *discrepancy* of a statistic is the
+median, over its counterparts, of their distance from the median of their own replicates. It is the error of the
 simulator for this array, and is subtracted from the new recording. A line, a correlation or a coarse code that was
-there before is then no difference, and an axis that leans leans as before.
+present before is then not a difference, and neither is the misalignment of an axis.
 
-Phases at rest are evaluated in pieces of one length on both sides, so that a long phase shows nothing that a short one
-can't.
+Phases at rest are evaluated in pieces of one length on both sides, so that a long phase does not show what a short one
+cannot.
 
-Both sides scatter. A replicate of the comparison is one of the new recording less one of the counterparts, each about
-its own middle, of the same drawn units and with independent noise. Properties of the units (scale, misalignment) cancel
-as they do between the recordings, and noise adds in quadrature: sqrt(2) times that of one recording where both are as
-long. A statistic without a counterpart is left out.
+Both sides scatter. A replicate of the comparison is a replicate of the new recording less one of the counterparts, each
+relative to its own median, with the same drawn units and independent noise. Properties of the units (scale,
+misalignment) cancel as they do between the recordings, and noise adds in quadrature: it is sqrt(2) times that of one
+recording if both are as long. A statistic without a counterpart is left out.
 
-A discrepancy is a shift. Where the effect of a new cause and that of an old one on a statistic do not add (a noise that
-doubles hides half of an old line), the shift is subtracted as it was measured.
+A discrepancy is a shift. It is subtracted as measured, even if the effects of a new cause and an old one on a statistic
+do not add (doubled noise hides half of an old line).
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ from imuarray.simulate.model import Model
 _Place = tuple[str, ...]
 
 MOST_PIECES = 8
-"""Most pieces of a phase: each costs as much as a short phase, and eight determine the median of an earlier recording
-to half of the scatter of one.
+"""Largest number of pieces of a phase. Each costs as much as a short phase, and eight determine the median of an
+earlier recording to half of the scatter of a single piece.
 """
 
 
@@ -69,8 +69,8 @@ to half of the scatter of one.
 class Earlier:
     """Earlier recordings on their own `bench`.
 
-    `values` (e,) of their statistics, the median (`middle`, (e,)) over replicates of the base model fitted to them, and
-    for each of n statistics of the new recording the places of its `counterparts` among these.
+    `values` (e,) of their statistics; their median over replicates of the base model fitted to them (`middle`, (e,));
+    and for each of n statistics of the new recording the places of its `counterparts` among these.
     """
 
     bench: Bench
@@ -80,12 +80,12 @@ class Earlier:
     run: Run
 
     def without_discrepancy(self, real: StatisticValues) -> StatisticValues:
-        """Return statistics (n,) of the new recording less the discrepancy of the simulator in the earlier ones."""
+        """Return the statistics (n,) of the new recording less the simulator's discrepancy in the earlier ones."""
         return replace(real, values=real.values - self._discrepancy(self.values))
 
     def with_scatter(self, simulated: Sequence[StatisticValues], numbers: Sequence[int]) -> tuple[StatisticValues, ...]:
-        """Return replicates of the new recording less the scatter of the earlier ones' replicates
-        of the same numbers.
+        """Return replicates of the new recording less the scatter of the earlier recordings' replicates with the same
+        numbers.
         """
         models = self.bench.models()
         groups = [numbers[first : first + TOGETHER] for first in range(0, len(numbers), TOGETHER)]
@@ -97,8 +97,8 @@ class Earlier:
         )
 
     def _discrepancy(self, values: Floats) -> Floats:
-        """Return the median (n,) over the counterparts of the deviation of `values` (e,) from the
-        middle; nan without.
+        """Return the median (n,) over the counterparts of the deviation of `values` (e,) from the median of their
+        replicates; nan without counterparts.
         """
         deviation = values - self.middle
         known = [deviation[places][np.isfinite(deviation[places])] for places in self.counterparts]
@@ -109,7 +109,7 @@ def compare_with_earlier(
     bench: Bench, before: Bench, campaign: Campaign, run_on: Callable[[Bench], Run], replicates: int
 ) -> tuple[Bench, Earlier]:
     """Return a new recording's `bench` without the statistics that have no counterpart, and the earlier `campaign` on
-    its bench `before`, measured by the parameters of the new bench's base model, which are fitted to it.
+    its bench `before`. The earlier campaign is evaluated with the base model of the new bench, which is fitted to it.
     """
     earlier_bench = replace(before, base=bench.base, is_refitted=False, first_boot=bench.first_boot + len(bench.kinds))
     run, models = run_on(earlier_bench), earlier_bench.models()
@@ -129,10 +129,11 @@ def compare_with_earlier(
 def cut_to_equal_lengths(
     recordings: Sequence[Recording], earlier: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording]]:
-    """Cut the phases at rest of both sides into pieces of one length, since statistics such as the strongest line
+    """Cut the phases at rest of both sides into pieces of one length, because statistics such as the strongest line
     depend on the length.
 
-    The length is that of the shorter phases of the same name, or of any name where one side has none of it.
+    The length is that of the side whose longest phase of the same name is shorter; of any name, if a side has none of
+    that name.
     """
     longest = [_longest_ns(side) for side in (recordings, earlier)]
 
@@ -144,7 +145,7 @@ def cut_to_equal_lengths(
 
 
 def _longest_ns(recordings: Sequence[Recording]) -> dict[str, int]:
-    """Return the length of the longest phase at rest of each name, and of any ("")."""
+    """Return the length of the longest phase at rest of each name, and of any name ("")."""
     longest = {"": 0}
     for phase in chain.from_iterable(recording.phases for recording in recordings):
         if is_at_rest(phase):
@@ -154,7 +155,9 @@ def _longest_ns(recordings: Sequence[Recording]) -> dict[str, int]:
 
 
 def _pieces(phase: Phase, length_ns: int) -> Iterator[Phase]:
-    """Pieces of about that length, evenly over the phase; a phase that is little longer, or a motion, stays whole."""
+    """Yield pieces of about that length, evenly over the phase; a motion, or a phase that is little longer, is not
+    cut.
+    """
     whole_ns = phase.end_ns - phase.start_ns
     count = min(round(whole_ns / length_ns), MOST_PIECES) if length_ns > 0 and is_at_rest(phase) else 1
     if count < 2:
@@ -167,7 +170,7 @@ def _pieces(phase: Phase, length_ns: int) -> Iterator[Phase]:
 
 
 def _replicated(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[Floats]:
-    """Return statistics (e,) of several replicates."""
+    """Return the statistics (e,) of several replicates."""
     return [replicate.values for replicate in bench.replicates(requests)]
 
 
@@ -191,23 +194,23 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
 
 
 ENOUGH: Mapping[int, float] = MappingProxyType({24: 0.4, 40: 0.25, 64: 0.16, 96: 0.13})
-"""Numbers of replicates after which no more are simulated if the p-value is larger than the limit. The limits never
-rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates would detect at p = 0.05 is
-given up in less than one of two hundred cases.
+"""Numbers of replicates after which no more are simulated if the p-value exceeds the limit. The limits never rise, and
+are so far above `LEVEL` that hardly a gap is missed: a gap that all replicates would detect at p = 0.05 is missed in
+less than one of two hundred cases.
 """
 
 
 CLEAR, LEAST_CLEAR = 1.5, 40
-"""Ratio of the largest score of a recording to the largest of all replicates, of which there are at least so many,
-from which on no more are simulated: by the tails of scores a gap is then certain, and more replicates would change
-little.
+"""Ratio of the largest score of a recording to the largest score of all replicates from which on no more are simulated,
+and the least number of replicates for it. By the tails of the scores a gap is then certain, and more replicates would
+change little.
 """
 
 _DELAY_STEPS = 3
-"""Steps of the fit of delays: the delay of readings that wait for a poll is not quite the sum of all delays."""
+"""Steps of the fit of delays: the delay of readings that wait for a poll is not exactly the sum of all delays."""
 
 _PART_ROWS = 128
-"""Fewest rows of a phase within a stretch, to have a spectrum."""
+"""Fewest rows of a part of a phase within a stretch: fewer have no spectrum."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +218,7 @@ class Comparison:
     """The recorded campaign on its bench with replicates of the base model.
 
     Statistics of the recording (`real`) and of the replicates, their pairs, the assessment of the recording by them,
-    and where it is beyond chance. `earlier`: the recordings with which it is compared, if any.
+    and the significant places. `earlier`: the recordings with which it is compared, if any.
     """
 
     bench: Bench
@@ -236,8 +239,8 @@ class Comparison:
 def prepare(
     recordings: Sequence[Recording], model: Model | None, seed: int, fitted_to: Sequence[Recording] = ()
 ) -> tuple[Bench, Campaign]:
-    """Summarise the recordings and fit the base model to their training part, or to all of other recordings of the
-    same array (`fitted_to`); sensors that these lack are left out.
+    """Summarise the recordings, and fit the base model to their training part, or to all of other recordings of the
+    same array (`fitted_to`). Sensors that these lack are left out.
     """
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
     campaign = _summarise(recordings, split)
@@ -259,8 +262,8 @@ def prepare(
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
-    """Return sensors whose rows come from a queue in the chip: the configuration says so, or they have more rows than
-    there are frames.
+    """Return the sensors whose rows come from a queue in the chip: the configuration contains it, or they have more
+    rows than frames.
     """
     plans = [recording.experiment.plan for recording in recordings]
     configured = {
@@ -300,8 +303,8 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
 
 
 class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
-    """Stretches, by sensor, in which it reads differently from the rest of a log at rest, with the summary in them.
-    They are computed on demand, which is only for sensors that deviate.
+    """Stretches, by sensor, in which it reads differently from the rest of a log at rest, with their summary. They are
+    computed on demand, because only sensors that deviate need them.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -329,7 +332,7 @@ def _spells(recording: Recording, sensor: str) -> Iterator[tuple[Stretches, LogS
 
 
 def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Iterator[Phase]:
-    """Yield the parts of phases within stretches that hold enough rows."""
+    """Yield the parts of phases that lie within stretches and hold enough rows."""
     for phase in phases:
         for begin_s, end_s in stretches:
             start_ns = max(phase.start_ns, round(begin_s * 1e9))
@@ -339,15 +342,15 @@ def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Itera
 
 
 def _correct(bench: Bench, campaign: Campaign) -> Bench:
-    """Return the bench with what of its base model only replicates tell: delays, or what the effects of a given model
-    add.
+    """Return the bench with a base model that is corrected by replicates: for delays, or for the contributions of the
+    effects of a given model.
     """
     return with_signal_delays(bench, campaign) if bench.base.model is None else settle_bench(bench)
 
 
 def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) -> Bench:
-    """Return the bench with the delays of the signals fitted to all motions of the campaign, by so many replicates for
-    each step: often the box moves much in one part only.
+    """Return the bench with the delays of the signals fitted to all motions of the campaign, by this number of
+    `replicates` in each step. Both parts are used, because the box often moves in only one of them.
     """
     if not can_fit_signal_delays(campaign, bench.base.headers, bench.base.queued):
         return bench
@@ -386,12 +389,13 @@ def compare_with_base(
 ) -> Comparison:
     """Compare the recording with the base model, or with `earlier` recordings and the base model fitted to these.
 
-    Uses so many `replicates`, or fewer if they show that it is well within chance (`ENOUGH`) or far beyond it (`CLEAR`;
-    p is then the least that so many can show, which is larger than after all of them). The p-value is that of a
-    sequential Monte Carlo test, which continues only as long as the recording is among the most extreme (Besag and
-    Clifford, Biometrika 78, 1991). It is valid: a recording without a gap has p <= a in at most a share a of all cases.
-    For the first look that may end at such a p, those before it ended at larger ones only, since the limits of `ENOUGH`
-    never rise, and it ends at p <= a, or continues, only if its own p, an exact one, is at most a.
+    Uses this number of `replicates`, or fewer if they show that the recording is well within chance (`ENOUGH`) or far
+    beyond it (`CLEAR`; p is then the least value for that number, which is larger than after all replicates). The
+    p-value is that of a sequential Monte Carlo test, which continues only as long as the recording is among the most
+    extreme (Besag and Clifford, Biometrika 78, 1991). The test is valid: a recording without a gap has p <= a in at
+    most a share a of all cases. Proof: consider the first look that may end at p <= a. Earlier looks ended only at
+    larger p, because the limits of `ENOUGH` never rise. At this look the test ends at p <= a, or continues, only if the
+    p-value of the look, which is exact, is at most a.
     """
     real, pairs = bench.observed(campaign, bench.base.fitted), bench.pairs()
     real = real if earlier is None else earlier.without_discrepancy(real)
@@ -419,8 +423,8 @@ def _is_clear(scores: Floats) -> bool:
 
 
 def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
-    """Return the statistics (n,) of a recording without the share of repeated rows if no row of any sensor is flagged
-    as one: not every recorder compares readings.
+    """Return the statistics (n,) of a recording without the share of stale rows if no row of any sensor is flagged as
+    stale: not every recorder compares readings.
     """
     places = np.array([place for place, key in enumerate(keys) if key.probe == "stale"], np.intp)
     if not len(places) or np.nan_to_num(values[places]).any():
@@ -431,7 +435,7 @@ def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
 
 
 def observe_replicates(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
-    """Return statistics of numbered replicates of sensors with these models, a few in each job."""
+    """Return the statistics of numbered replicates of sensors with these models, a few in each job."""
     requests, together = [(models, number) for number in numbers], bench.together
     groups = [requests[first : first + together] for first in range(0, len(requests), together)]
     return list(chain.from_iterable(run(_observe, groups)))

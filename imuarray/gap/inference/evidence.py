@@ -1,6 +1,6 @@
-"""Evidence of one sensor in the training part of a campaign, from which candidates guess hypotheses.
+"""Evidence of one sensor in the training part of a campaign, from which candidates derive hypotheses.
 
-Times at which a hypothesis holds: always, from a moment on, in some logs, or during stretches of logs.
+A hypothesis holds at these times: always, from a moment on, in some logs, or during stretches of logs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from imuarray.simulate.effect import Effect
 
 
 class Span(NamedTuple):
-    """In log number `log` from `moment_s`, in seconds since its epoch, for `length_s`."""
+    """Part of log number `log`: from `moment_s`, in seconds since its epoch, for `length_s`."""
 
     log: int
     moment_s: float
@@ -41,14 +41,14 @@ class Span(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """True if it is all of the log."""
+        """True if the span is the whole log."""
         return self.moment_s <= 0 and math.isinf(self.length_s)
 
 
 @dataclass(frozen=True)
 class When:
-    """`spans` of logs; always, without any. `chosen`: how many numbers say which they are (None: a log for each, and
-    the moments at which it begins and ends).
+    """`spans` of logs; always, if empty. `chosen`: how many numbers determine the spans (None: a log for each, and the
+    moments at which it begins and ends).
     """
 
     spans: tuple[Span, ...] = ()
@@ -56,7 +56,7 @@ class When:
 
     @property
     def triples(self) -> list[tuple[int, float, float]]:
-        """(log, from, until), as the simulation has them."""
+        """(log, from, until), in the form of the simulation."""
         return [(span.log, span.moment_s, span.moment_s + span.length_s) for span in self.spans]
 
     @property
@@ -67,7 +67,7 @@ class When:
         return sum(1 + (span.moment_s > 0) + math.isfinite(span.length_s) for span in self.spans)
 
     def is_in_both(self, split: Split) -> bool:
-        """Return whether both parts of a campaign have a good share of it."""
+        """Return whether both parts of a campaign contain a sufficient share of the spans."""
         if not self.spans:
             return True
         train_s, held_out_s = (self._seconds(split, held_out) for held_out in (False, True))
@@ -85,19 +85,21 @@ class When:
 ALWAYS = When()
 
 SINGLE = 64
-"""More events than this are not listed one by one."""
+"""Largest number of events that are listed one by one."""
 
 NUMBERS = 1.0
-"""Nats that a number costs which was chosen to say when: the moment of an event, or how long it is. What is told by
-both parts gains the mean of them, and an event lies in one.
+"""Cost in nats of each number that was chosen for a time: the moment of an event, or its length. A hypothesis that
+needs both parts gains the mean of their gains, and an event lies in one part.
 """
 
 _SHARE = 0.2
-"""A part of the campaign that has less of the time says too little of what holds only then."""
+"""Least share of the time of an effect in each part of the campaign: with less, a part does not determine the
+effect.
+"""
 
 
 def in_logs(logs: Collection[int]) -> When:
-    """Return the whole of these logs."""
+    """Return the time of the whole of these logs."""
     return When(tuple(Span(log, 0.0, math.inf) for log in sorted(logs)))
 
 
@@ -107,7 +109,7 @@ def since(first: Span, logs: Collection[int]) -> When:
 
 
 def join_spans(whens: Iterable[When]) -> When:
-    """Return the spans of all."""
+    """Return all spans of these times."""
     return When(tuple(sorted(span for when in whens for span in when.spans)))
 
 
@@ -132,9 +134,9 @@ def stretches(spans: Sequence[Span]) -> Stretches:
 class PhaseEvidence:
     """One phase of log number `log` of the campaign.
 
-    The summary as recorded (`raw`) and with the model's prediction (bias, slope, nominal axes) subtracted from the
-    means of its segments (`residual`; in turns only the bias). `cross` has the moments that the array's sensors share
-    in it, `ups_box` the directions up at the begin and end of a turn.
+    `raw` is the summary as recorded; `residual` is the same with the model's prediction (bias, slope, nominal axes)
+    subtracted from the means of its segments (in turns only the bias). `cross` has the moments that the array's sensors
+    share in the phase, `ups_box` the directions up at the beginning and the end of a turn.
     """
 
     log: int
@@ -148,14 +150,14 @@ class PhaseEvidence:
 
 @dataclass(frozen=True)
 class Spell:
-    """Evidence of a sensor `when` it reads differently from the rest of a log."""
+    """Evidence of a sensor at the time `when` it reads differently from the rest of a log."""
 
     when: When
     phases: tuple[PhaseEvidence, ...]
 
 
 class Repetition(NamedTuple):
-    """A stretch `span` of so many `rows` that repeat the one before, all of these `counts`."""
+    """A stretch `span` of `rows` rows that repeat the row before, all with the same `counts`."""
 
     span: Span
     rows: int
@@ -168,17 +170,17 @@ class Evidence:
 
     `values`, `expected` and `scores` of each probe are (m, 3), or (m, 1) for a probe of the whole sensor, with a row
     for every phase, log or series of the training part: the statistic, its value under the model, and the deviation in
-    standard deviations; nan where there is none. `effects` are those of the present model, `runs` the sensor's boots if
-    there is a turn-on series, `others` the sensors that measure the same.
+    standard deviations; nan if it is not known. `effects` are those of the present model, `runs` the sensor's boots if
+    there is a turn-on series, `others` the sensors that measure the same quantity.
 
-    Events: `holes` where rows that were due were lost; `repeated` rows, in any phase or none; `outliers` by logs in
-    each phase in which the box moves; `hosts`, delays of the host seen in all sensors; `resets`, stretches by logs in
-    which the recorder noticed that the chip had lost its configuration.
+    Events: `holes` are times of lost rows; `repeated` rows lie in any phase or in none; `outliers` are given with their
+    log for each phase in which the box moves; `hosts` are delays of the host that show in all sensors; `resets` are
+    stretches, with their log, in which the recorder noticed that the chip had lost its configuration.
 
-    `rows_of`: the log of each row of a probe, -1 for several. `is_refitted`: noise, bias and slope are fitted to this
-    evidence; otherwise they come from an earlier recording and may have changed. `spells`: stretches in which the
+    `rows_of`: the log of each row of a probe, -1 for several logs. `is_refitted`: noise, bias and slope are fitted to
+    this evidence; otherwise they come from an earlier recording and may have changed. `spells`: stretches in which the
     sensor reads differently from the rest of the log. `twins` are the phases of others of the same chip, under the base
-    model with the parameters `twin_fitted`. All evidence is from within `when`.
+    model with the parameters `twin_fitted`. All evidence lies within `when`.
     """
 
     header: SensorHeader
@@ -203,8 +205,8 @@ class Evidence:
     when: When = ALWAYS
 
     def within(self, logs: Collection[int]) -> Evidence:
-        """Return the evidence of these logs alone, by their numbers in the campaign; statistics of several logs are
-        left out.
+        """Return the evidence of these logs alone, by their numbers in the campaign, without statistics of several
+        logs.
         """
         chosen = {probe: [at in logs for at in row_logs] for probe, row_logs in self.rows_of.items()}
         values, expected, scores = (
@@ -228,8 +230,8 @@ class Evidence:
         )
 
     def during(self, spell: Spell) -> Evidence:
-        """Return the evidence of a spell, against the model of whole phases of its log, with larger errors for fewer
-        rows.
+        """Return the evidence of a spell, relative to the model of whole phases of its log, with larger errors for
+        fewer rows.
         """
         (log,) = {phase.log for phase in spell.phases}
         whole = self.within([log])
@@ -274,24 +276,24 @@ class Evidence:
 
     @property
     def rows_per_s(self) -> float:
-        """Usual rate of the sensor's rows, 1/s."""
+        """Median over phases of the mean rate of the sensor's rows, 1/s."""
         intervals = [phase.raw.intervals.mean_s for phase in self.phases if phase.raw.intervals.count]
         return float(1 / np.median(intervals)) if intervals else max(self.header.rate_hz, 1.0)
 
     def score(self, *probes: str) -> Floats:
-        """Return the score (3,) of these probes with the largest size on each axis; 0 without any. That of a whole
-        sensor counts for each axis.
+        """Return the score (3,) of these probes with the largest absolute value on each axis; 0 without scores. The
+        score of a whole sensor counts for each axis.
         """
         rows = [np.broadcast_to(self.scores[probe], (len(self.scores[probe]), 3)) for probe in self._scored(probes)]
         scores = np.nan_to_num(np.concatenate([np.zeros((1, 3)), *rows]))
         return np.asarray(scores[np.abs(scores).argmax(axis=0), range(3)])
 
     def is_odd(self, *probes: str, beyond: float = 3.0) -> bool:
-        """Return whether any of these probes deviates from the model by more than that."""
+        """Return whether the score of any of these probes exceeds `beyond` on an axis."""
         return bool((np.abs(self.score(*probes)) > beyond).any())
 
     def shift(self, probe: str) -> Floats:
-        """Return the deviation (3,) from the model in the row with the largest score, by axis; 0 without any."""
+        """Return the deviation (3,) from the model in the row with the largest score, by axis; 0 without rows."""
         if probe not in self.scores:
             return np.zeros(3)
         shape = (len(self.scores[probe]), 3)
@@ -300,7 +302,7 @@ class Evidence:
         return np.asarray(deviation[size.argmax(axis=0), range(3)])
 
     def typical(self, probe: str) -> Floats:
-        """Return the median (3,) over the rows of the deviation from the model; 0 without any."""
+        """Return the median (3,) over the rows of the deviation from the model; 0 without rows."""
         deviation = self.values[probe] - self.expected[probe] if probe in self.scores else np.zeros((0, 1))
         known = deviation[np.isfinite(deviation).all(axis=1)]
         return np.asarray(np.broadcast_to(np.median(known, axis=0) if len(known) else np.zeros(1), (3,)))
@@ -312,8 +314,8 @@ class Evidence:
 def evidence_of(
     bench: Bench, train: Side, sensor: str, scored: ScoredStatistics, modelled: SensorModel, effects: tuple[Effect, ...]
 ) -> Evidence:
-    """Return the evidence of a sensor in the recorded training part, with this model; `effects` are
-    those of the model.
+    """Return the evidence of a sensor in the recorded training part, with this model; `effects` are those of the
+    model.
     """
     logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
@@ -363,10 +365,10 @@ def _phases_of(sensor: str, train: Side, residuals: Campaign) -> tuple[PhaseEvid
 
 
 _OVER_NOISE = "noise"
-"""The statistic of a phase that is taken relative to the fitted noise."""
+"""The statistic of a phase that is expressed relative to the fitted noise."""
 
 _SURE = 0.01
-"""Least score from which the scatter of a statistic is inferred."""
+"""Least absolute score from which the scatter of a statistic is inferred."""
 
 
 def _usual(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
@@ -383,13 +385,13 @@ def _usual(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
 
 
 VIEWS = 4
-"""Most parts of the evidence that are viewed separately; more repeat the same."""
+"""Largest number of parts of the evidence that are viewed separately; more would repeat them."""
 
 _SAYS = 3.0
-"""Least score of a part that suggests anything."""
+"""Largest absolute score of a part from which on it is viewed separately."""
 
 SAME_RATE = 1.1
-"""Largest ratio of the rates of rows of logs of one rate."""
+"""Largest ratio of the row rates of logs that have the same rate."""
 
 
 def views(evidence: Evidence) -> Iterator[Evidence]:
@@ -416,7 +418,7 @@ def _group(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, ...
 
 
 def _rows_per_s(evidence: Evidence, log: int) -> float:
-    """Usual rate of rows in one log."""
+    """Return the usual rate of rows in one log, 1/s."""
     return replace(evidence, phases=tuple(phase for phase in evidence.phases if phase.log == log)).rows_per_s
 
 
@@ -435,14 +437,14 @@ def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell
 
 
 def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
-    """Holes in the rows, from half a row after the last row to half a row before the next."""
+    """Yield the holes in the rows, from half a row after the last row to half a row before the next one."""
     for before_ns, after_ns, missing in holes:
         row_s = (after_ns - before_ns) * 1e-9 / (missing + 1)
         yield Span(log, before_ns * 1e-9 + row_s / 2, missing * row_s)
 
 
 def _repeated(log: int, repeated: RepeatedRows) -> Iterator[Repetition]:
-    """Repeated rows, from half a row before the first repetition to half a row after the last one."""
+    """Yield repeated rows, from half a row before the first repetition to half a row after the last one."""
     columns = (repeated.rows, repeated.begin_ns, repeated.end_ns, repeated.counts)
     for rows, begin_ns, end_ns, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
         row_s = (end_ns - begin_ns) * 1e-9 / (rows - 1)
@@ -450,8 +452,8 @@ def _repeated(log: int, repeated: RepeatedRows) -> Iterator[Repetition]:
 
 
 class ScoredStatistics(NamedTuple):
-    """Statistics of one sensor (n,): recorded values, values under the model, scores, and the part and the log of the
-    campaign of each (-1: several).
+    """Statistics of one sensor (n,): recorded values, values under the model, scores, and for each its part and its log
+    of the campaign (-1: several logs).
     """
 
     keys: Sequence[Key]
@@ -471,7 +473,7 @@ def _logs_by_probe(scored: ScoredStatistics) -> dict[str, tuple[int, ...]]:
 
 
 def _by_probe(scored: ScoredStatistics, values: Floats) -> dict[str, Floats]:
-    """Table (m, 3) or (m, 1) of each probe."""
+    """Return the table (m, 3) or (m, 1) of each probe."""
     rows: dict[str, dict[tuple[bool, int, str, int], list[float]]] = {}
     for key, out, value in zip(scored.keys, scored.held_out, values.tolist(), strict=True):
         rows.setdefault(key.probe, {}).setdefault((out, key.log, key.phase, key.phase_number), []).append(value)

@@ -1,8 +1,8 @@
-"""The whole search: rounds over single sensors and over families that deviate together, until nothing is left or
+"""The whole search: rounds over single sensors and over families that deviate together, until nothing remains or is
 detected; and shared causes: one cause that several sensors of a chip share, against one cause for each of them.
 
-Common errors show only between sensors, so a family is simulated as a whole and its statistics hold the correlations of
-its members. The shared cause wins if it makes the held-out part of all members likelier than their single causes do.
+Common errors show only between sensors, so a family is simulated as a whole and its statistics contain the correlations
+of its members. The shared cause wins if it makes the data of all members likelier than their single causes do.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from imuarray.gap.statistics.synthetic_likelihood import independent_share, like
 from imuarray.log.format import SensorHeader
 
 _MOST = 0.5
-"""Share of a member's gain that a shared cause explains if the member's own cause is redundant."""
+"""Share of a member's gain above which a shared cause explains it, so that the member's own cause is redundant."""
 
 _EXACT = 0.05
-"""Share of the gain of several fitted causes by which a shared one without any fitted number may be worse."""
+"""Share of the gain of several fitted causes by which a shared cause without fitted parameters may be worse."""
 
 
 def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) -> Evaluation:
@@ -60,12 +60,13 @@ def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) ->
 
 
 def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluation | None:
-    """Return the shared cause, if it is accepted and beats the `count` causes of the members, each of which has to be
-    worth it too, by more than its rarity.
+    """Return the shared cause if it is accepted and, less its rarity, beats the `count` causes of the members, each of
+    which must also be worth its acceptance.
 
-    The held-out part has shown that there is a cause; whether it is one or several is decided on both parts, to which
-    equally many numbers were fitted. A shared cause without any, such as an exchange of two sensors, need not explain
-    quite as much as causes that are fitted to each: chance would not make it explain nearly as much.
+    The held-out part has shown that there is a cause. Both parts decide whether it is one cause or several, since both
+    hypotheses were fitted with the same number of parameters. A shared cause without parameters, such as an exchange of
+    two sensors, may explain slightly less than causes that are fitted to each sensor: by chance it would not explain
+    nearly as much.
     """
     best = family.selection
     if best is None:
@@ -77,7 +78,7 @@ def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluatio
 
 
 def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
-    """Return causes of members other than the shared one that gain more than their part of the shared one's gain."""
+    """Return the causes of members, other than the shared one, that gain more than their part of the shared gain."""
     best = family.selection
     if best is None:
         return ()
@@ -88,8 +89,8 @@ def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evalu
 def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
     """Return whether the shared cause explains most of what a member's own cause explains.
 
-    Of two sensors with a common wander, the one that shows it better gains nearly as much by a wander of its own. What
-    the member lacks beyond the shared cause is searched in the next round.
+    Of two sensors with a common wander, the one that shows it better gains nearly as much by a wander of its own. The
+    next round searches for what the shared cause does not explain of the member.
     """
     if family.selection is None:
         return False
@@ -117,14 +118,14 @@ def members_of(bench: Bench, family: UnitState, standings: Mapping[Unit, UnitSta
 
 
 def without_duplicates(trials: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the trials, each once: members guess the same shared cause several times, and an
-    exchange from both sides.
+    """Return the trials, each once: several members suggest the same shared cause, and both sensors suggest an
+    exchange.
     """
     return list({min(repr(trial), repr(_mirror(trial))): trial for trial in trials}.values())
 
 
 def _mirror(trial: Hypothesis) -> Hypothesis:
-    """Return the trial as the other sensor of an exchange guesses it."""
+    """Return the trial as the other sensor of an exchange suggests it."""
     if not trial.opposite or len(trial.others) != 1:
         return trial
     (other,) = trial.others
@@ -140,24 +141,25 @@ def _mirror(trial: Hypothesis) -> Hypothesis:
 
 
 ROUNDS = 6
-"""Most causes of one unit."""
+"""Largest number of causes of one unit."""
 
 _DELAY_PROBES = frozenset({"motion_delay", "motion_residual"})
-"""Statistics of a sensor's delay: no level, scale or code moves these, whatever the other statistics do."""
+"""Statistics of a sensor's delay: a level, scale or code does not change them, however dependent other statistics are.
+"""
 
 _THERMAL = frozenset({"thermal_bias", "thermal_lag", "thermal_scale"})
-"""Effects whose guesses by both parts are tried as well: the temperatures of one half of a heating say little of those
-of the other half.
+"""Effects whose guesses from both parts are tried as well: the temperatures of one half of a heating hardly determine
+those of the other half.
 """
 
 _OF_EXTREMES = frozenset({"saturation"})
-"""The same for effects of the largest readings: one part may reach another end of the range than the other."""
+"""Effects of the largest readings, likewise: one part may reach another end of the range than the other part."""
 
 _FAMILY_ROUNDS = 1
-"""Rounds in which shared causes are looked for."""
+"""Number of rounds in which shared causes are searched."""
 
 _FAINT = 3.0
-"""Nats by which what several share is rarer where only one of them differs, or what they have in common doesn't."""
+"""Nats by which a shared cause is rarer if only one sensor deviates, or if their common statistics do not."""
 
 _OWN = 0.5
 
@@ -177,8 +179,8 @@ def search_causes(
     progress: Callable[[str], None] = lambda what: None,
     known: Collection[str] = (),
 ) -> SearchResult:
-    """Search all causes of a gap. The sensors `known` are known to have one of the candidates' effects: only these
-    are searched, and their first cause needs no proof.
+    """Search for all causes of a gap. If sensors are `known` to have one of the candidates' effects, only these are
+    searched, and their first cause needs no proof.
     """
     names = list(known) or [node.path[-1] for node in comparison.localisation.root.found("sensor")]
     standings = _states_of(comparison, [(name,) for name in names], run)
@@ -208,11 +210,11 @@ def search_causes(
 
 
 def _deferred(comparison: Comparison, results: Mapping[Unit, Round]) -> list[Unit]:
-    """Return units that wait for the next round.
+    """Return the units that wait for the next round.
 
-    Their gain comes from motion relative to others of their quantity, one of which gains more, or has taken a cause in
-    its own statistics. One deviating sensor makes all others look deviating, and a sensor with another cause was not
-    yet asked whether it is that one.
+    Their gain comes from motion relative to others of their quantity, and one of these gains more, or has a cause in
+    its own statistics. One deviating sensor makes all others appear to deviate, and a sensor with another cause has not
+    been tested yet for being the deviating one.
     """
     quantities = {unit: comparison.bench.base.headers[unit[0]].quantity for unit in results}
     return [
@@ -229,8 +231,8 @@ def _deferred(comparison: Comparison, results: Mapping[Unit, Round]) -> list[Uni
 
 
 def _worth(evaluation: Evaluation) -> float:
-    """Return the mean gain of both parts, less the rarity: rivals that explain one difference between sensors, each by
-    numbers of its own, are nearly equal, and half of the data says less than all.
+    """Return the mean gain of both parts, less the rarity. Rivals that explain one difference between sensors by
+    parameters of their own are nearly equal, and one part of the data shows less than both.
     """
     return evaluation.gain_of_both / 2 - evaluation.trial.rarity
 
@@ -238,7 +240,7 @@ def _worth(evaluation: Evaluation) -> float:
 def _with_other_models(
     comparison: Comparison, units: Mapping[Unit, UnitState], standings: Mapping[Unit, UnitState], run: Run
 ) -> dict[Unit, UnitState]:
-    """Return the `units` with the present models of the other sensors, where that makes a difference."""
+    """Return the `units` with the present models of the other sensors, if these affect their statistics."""
     models = {name: model for state in standings.values() for name, model in state.models.items() if model.added}
     if not comparison.bench.is_of_motion.any() or not models:
         return dict(units)
@@ -262,8 +264,8 @@ def _families(
     standings: dict[Unit, UnitState],
     known: bool,
 ) -> None:
-    """Replace causes of members by shared causes where these are better, the best first, at most one for a sensor.
-    Causes of members that gain more than their part of the shared one are kept if they explain something else.
+    """Replace causes of members by shared causes if these are better, the best first, at most one for a sensor. Causes
+    of members that gain more than their part of the shared gain are kept if they explain something else.
     """
     trials = _promising(comparison, _shared_trials(comparison, guessed), run)
     families = dict(_states_of(comparison, list(trials), run))
@@ -313,7 +315,7 @@ def _families(
             rounds.pop((name,), None)
         rounds[family] = [results[family]]
         standings.update(members_of(comparison.bench, won[family].standing, standings))
-    for unit in missing:  # sensors that do not differ, and have no part in a cause, are not searched
+    for unit in missing:  # sensors that do not deviate and have no part in a cause are not searched
         if unit[0] not in served:
             del standings[unit]
 
@@ -321,9 +323,9 @@ def _families(
 def _promising(
     comparison: Comparison, trials: Mapping[Unit, Sequence[Hypothesis]], run: Run
 ) -> dict[Unit, Sequence[Hypothesis]]:
-    """Return the shared trials of each family that gain something, without the families in which none does.
+    """Return the shared trials of each family that gain, without the families in which none gains.
 
-    All are looked at first, which needs few replicates of a family's state: all replicates of a state that no trial
+    All are looked at first, which needs few replicates of a family's state. All replicates of a state that no trial
     improves would cost more than the looks.
     """
     states = {state.unit: state for state in run(look_state, [_initial_state(comparison, family) for family in trials])}
@@ -339,12 +341,12 @@ def _staying(comparison: Comparison, family: Round, members: Sequence[Evaluation
 
 
 def _shared_trials(comparison: Comparison, guessed: Mapping[Unit, _Guesses]) -> dict[Unit, list[Hypothesis]]:
-    """Shared hypotheses by the sensors concerned.
+    """Return the shared hypotheses by the sensors that they concern.
 
-    Sensors of a chip of which two or more deviate and whose common statistics do, or whose levels change from one part
-    to the other; or some of them with something in common; or a sensor and the one whose data it has; or all sensors.
-    If only one of a chip deviates, or their common statistics don't, the others may have the same cause, too faint to
-    show: that is rarer.
+    These sensors are those of a chip of which two or more deviate, if their common statistics deviate too, or if their
+    levels change from one part to the other; or some of them with something in common; or a sensor and the one whose
+    data it has; or all sensors. If only one sensor of a chip deviates, or if their common statistics do not, the others
+    may have the same cause, too faint to show; that is rarer.
     """
     odd = {
         key.sensor
@@ -359,7 +361,7 @@ def _shared_trials(comparison: Comparison, guessed: Mapping[Unit, _Guesses]) -> 
         for trial in guess.shared:
             if trial.everywhere:
                 unit = tuple(sorted(headers))
-            elif trial.members:  # what it has in common with the others of the chip goes into one mean
+            elif trial.members:  # its noise in common with the others of the chip enters a single mean
                 chips = {headers[member].chip for member in trial.members}
                 same = {other for other, header in headers.items() if header.quantity == headers[name].quantity}
                 unit = tuple(sorted(other for other in same if headers[other].chip in chips))
@@ -410,7 +412,7 @@ def _initial_state(comparison: Comparison, unit: Unit) -> UnitState:
 
 
 def _is_open(comparison: Comparison, standing: UnitState, rounds: Sequence[Round]) -> bool:
-    """Return whether something remains to be explained, and the last round had a result."""
+    """Return whether something remains to be explained, and the last round selected a cause."""
     if any(map(reads_another, standing.models.values())):
         return False
     if not rounds:
@@ -434,7 +436,7 @@ class _Guesses(NamedTuple):
 def _guesses_of(
     comparison: Comparison, standings: Mapping[Unit, UnitState], candidates: Mapping[str, Candidate]
 ) -> dict[Unit, _Guesses]:
-    """Return hypotheses by the evidence on the training part, and on both parts for what that does not show."""
+    """Return the hypotheses from the training part, and from both parts if the training part does not show them."""
     train, both = comparison.bench.split.train(comparison.campaign), comparison.bench.split.both(comparison.campaign)
     guessed = {}
     for unit, standing in standings.items():
@@ -464,13 +466,14 @@ def _guesses_of(
 
 
 def _is_alone(comparison: Comparison) -> bool:
-    """Return whether the array has one sensor: what concerns all sensors is its own."""
+    """Return whether the array has one sensor: an effect of all sensors is then its own."""
     return len(comparison.bench.base.headers) == 1
 
 
 def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesis) -> Hypothesis:
     """Return an exchange of two sensors' data in whole logs with the ordinary parameters that each sensor has in its
-    own data: slopes and filters were fitted to the other's, and an offset belongs to its slope. Delays stay as guessed.
+    own data: slopes and filters were fitted to the other's data, and an offset belongs to its slope. Delays stay as
+    guessed.
     """
     whole = {span.log for span in trial.when.spans if span.is_whole}
     partly = {span.log for span in trial.when.spans} - whole
@@ -491,8 +494,8 @@ def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesi
 
 
 def _evidence(comparison: Comparison, side: Side, standing: UnitState, whole: bool) -> Evidence:
-    """Return the evidence of a single sensor on the training part or on both; statistics that it shares with others are
-    as under the base model.
+    """Return the evidence of a single sensor in the training part or in both. Statistics that it shares with others are
+    those under the base model.
     """
     bench, (name,) = comparison.bench, standing.unit
     every, mine = bench.columns(standing.unit, cross=True), bench.among(standing.unit, standing.unit)
