@@ -1,1 +1,1 @@
-"""The base model fitted to a recording, the populations of its nuisance quantities, and its replicates."""
+"""The base model that is fitted to a recording, the populations of its nuisance quantities, and its replicates."""

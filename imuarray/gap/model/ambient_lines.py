@@ -1,9 +1,9 @@
-"""Lines of the surroundings, which sensors measure at rest: a fan or an engine shakes the box, a transformer hums.
+"""Spectral lines from the surroundings that sensors measure at rest, for example of a fan, an engine or a transformer.
 
-A line in a sensor's spectrum is a nuisance quantity if another sensor of the quantity has it too, with the same
-amplitude along the axes of the box. A faint line of an accelerometer is one as long as the others do not contradict it:
-those that would show it, by their noise and their rate, do. A line that only one of several sensors has, and a strong
-one that no other confirms, is left to the effects.
+A line in a sensor's spectrum is a nuisance quantity if another sensor of the same quantity measures it too, with the
+same amplitude along the axes of the box. A faint line of an accelerometer is also a nuisance quantity unless another
+sensor contradicts it, which means that its noise and rate would show the line but do not. A line that another sensor
+contradicts, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an effect.
 """
 
 from __future__ import annotations
@@ -24,35 +24,36 @@ from imuarray.simulate.effects.noise import Tone
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 MOST_G = 6e-4
-"""Largest usual amplitude along an axis of the box, in g: tables in rooms with machines shake by some tenths of a
-thousandth of g.
+"""Largest usual amplitude along an axis of the box, in g: tables in rooms with machines vibrate with some tenths of a
+milli-g.
 """
 
 MOST_FACTOR = 1.6
-"""A replicate's amplitude is between 0 and this times the mean one: machines switch on and off."""
+"""Largest ratio of the amplitude in a replicate to the measured one; the least is 0, since machines switch on and off.
+"""
 
 _LINES = 4
-"""Lines of one rate that are looked at, the highest first: a machine has harmonics."""
+"""Number of lines of each sensor that are considered, the highest first: a machine has harmonics."""
 
 _HIGH = 5.0
-"""Standard deviations by which a line stands above its neighbours."""
+"""Least height of a line above its neighbours, in standard deviations."""
 
 _CONTRADICTED, _SURE = 0.25, 4.0
-"""Another accelerometer contradicts a line if it shows less than this share of its power, by so many standard
-deviations.
+"""Another sensor contradicts a line if it measures less than this share of its power, and if the power is lower than
+expected by at least this number of standard deviations.
 """
 
 _CONFIRMED = 2.0
-"""Ratio of powers within which another sensor shows the same line: chips differ in bandwidth and scale."""
+"""Largest ratio of powers at which another sensor confirms a line: chips differ in bandwidth and scale."""
 
 _SAME_RATE = 0.01
-"""Relative difference of rates of rows at which lines are at the same frequency."""
+"""Relative difference of row rates below which bins of spectra have the same frequency."""
 
 
 @dataclass(frozen=True)
 class AmbientLine:
-    """A line at `frequency_hz`, as rows show it, with amplitudes `amplitude_box` (3,) in SI units along the axes of the
-    box, and the sensors that measure it.
+    """A line at `frequency_hz`, possibly an alias at the rate of the rows, with amplitudes `amplitude_box` (3,) in SI
+    units along the axes of the box, and the sensors that it is simulated for.
     """
 
     frequency_hz: float
@@ -60,15 +61,15 @@ class AmbientLine:
     sensors: tuple[str, ...]
 
     def tone(self, header: SensorHeader, factor: float) -> Tone:
-        """Return the line as one of the sensors shows it, with amplitudes multiplied by `factor`."""
+        """Return the line as one of the sensors measures it, with amplitudes multiplied by `factor`."""
         own = np.abs(np.array(header.orientation)).T @ np.array(self.amplitude_box)
         x, y, z = (own * factor / SI_PER_UNIT[header.unit]).tolist()
         return Tone((x, y, z), self.frequency_hz)
 
 
 def fit_ambient_lines(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> tuple[AmbientLine, ...]:
-    """Return the lines at rest that several sensors of a quantity have, and the faint ones of accelerometers that no
-    other contradicts.
+    """Return the lines at rest that several sensors of a quantity have in common, and the faint lines of accelerometers
+    that no other sensor contradicts.
     """
     return tuple(line for group in _groups(campaign, headers) for line in _ambient_lines(group))
 
@@ -86,7 +87,9 @@ class _Spectrum(NamedTuple):
         return self.header.sensitivity / SI_PER_UNIT[self.header.unit]
 
     def power(self, place: float) -> tuple[Floats, Floats]:
-        """Power (3,) above the floor at a bin, along its own axes, and its standard deviation by chance."""
+        """Return the power (3,) above the floor at a bin along the sensor's own axes, in squared SI units, and its
+        standard deviation for noise alone.
+        """
         density, rows = self.spectrum.density, self.spectrum.segment_rows
         near = np.abs(np.arange(len(density)) - place) <= HALF_WIDTH
         floor = np.median(density[2:], axis=0)
@@ -96,7 +99,7 @@ class _Spectrum(NamedTuple):
 
 
 def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> list[list[_Spectrum]]:
-    """Return the spectra of sensors of one quantity whose rows come at the same rate, and have the same bins."""
+    """Group the spectra of sensors of one quantity that have the same row rate and the same bins."""
     groups: list[list[_Spectrum]] = []
     for name, header in headers.items():
         rests = [rest for log in campaign.logs for rest in log.still(name) if rest.intervals.count]
@@ -142,13 +145,15 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
 
 
 def _amplitude_box(member: _Spectrum, line: Line) -> Floats:
-    """Amplitudes (3,) in SI units along the box axes by one sensor."""
+    """Return the amplitudes (3,) of a line in SI units along the box axes, measured by one sensor."""
     power = np.maximum(line.power, 0.0) / member.counts_per_unit**2
     return np.asarray(np.abs(np.array(member.header.orientation)) @ np.sqrt(2 * power))
 
 
 def _confirms(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
-    """Return whether a sensor has the line too: along the axis along which it is strongest, and as strong there."""
+    """Return whether a sensor measures the same line, with a power within `_CONFIRMED`, along the axis along which it
+    is strongest.
+    """
     expected = (np.abs(np.array(other.header.orientation)).T @ amplitude_box) ** 2 / 2
     power, chance = other.power(place)
     axis = int(np.argmax(expected))
@@ -157,7 +162,7 @@ def _confirms(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
 
 
 def _contradicts(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
-    """Return whether a sensor that would show the line does not."""
+    """Return whether a sensor does not measure the line although it would be significant along one of its axes."""
     expected = (np.abs(np.array(other.header.orientation)).T @ amplitude_box) ** 2 / 2
     power, chance = other.power(place)
     axis = int(np.argmax(expected / np.where(chance > 0, chance, np.inf)))

@@ -1,7 +1,7 @@
-"""The error of rate of a chip's data clock, by readings that are read again or missed.
+"""The rate error of a chip's data clock, estimated from readings that are repeated or missed.
 
-A recorder polls a chip at about the rate at which the chip measures. As the chip's clock is off by a share of its rate,
-polls find no new reading, or a second one, at regular intervals.
+A recorder polls a chip at about the rate at which the chip measures. If the chip's clock has a rate error, polls find
+no new reading, or miss one, at regular intervals.
 """
 
 from __future__ import annotations
@@ -24,38 +24,49 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.sensor import NO_READY_BIT
 
 _HELD = 6
-"""Rows beyond the longest run of a clock from which on a reading is held: repeats by chance have no such runs."""
+"""Number of rows beyond the longest run that a clock can cause, above which the reading was held: repeats by chance do
+not make runs of this length.
+"""
 
 _SLIPS = 4.0
-"""Excess of repeated rows over chance, in standard deviations, that shows a slow data clock."""
+"""Least excess of repeated rows over chance, in standard deviations, that indicates a slow data clock."""
 
 _SAME_CLOCK = 0.3
-"""Relative difference of phases, beside chance, within which one clock error explains them all."""
+"""Relative difference between the errors of phases up to which one clock error is assumed for all of them; a larger
+difference is accepted if it can be due to chance.
+"""
 
 _UNEVEN = 1.5
-"""Readings of a phase that are missed or repeated at its ends: a poll begins or ends between the two."""
+"""Difference between missed and repeated readings per phase that is attributed to the ends of the phase, and not to a
+rate error.
+"""
 
 _MOST_FAST = 4.0
-"""The fastest clock that repeats show, in standard deviations of the intervals."""
+"""Upper limit of the rate of a clock with repeats: its excess over the rate of the polls, relative, in relative
+standard deviations of the intervals.
+"""
 
 _OVERSAMPLED = 1.05
-"""Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
+"""Number of polls per reading above which the chip counts as polled faster than it measures: readings are regularly
+repeated, and can be read three times if the polls jitter.
+"""
 
 _RARELY_EQUAL = 1e-3
-"""Probability that new readings are equal below which repeats in motion are those of the clock."""
+"""Probability that two new readings are equal below which repeats in motion are attributed to the clock."""
 
 _SKIPPED = 2.5
-"""Longest gap, in usual intervals, that lacks a single row."""
+"""Longest gap, in usual intervals, in which only a single row is missing."""
 
 
 def clock_errors(
     campaign: Campaign, headers: Mapping[str, SensorHeader], noise_counts: Mapping[str, Floats]
 ) -> dict[str, float]:
-    """Return by sensor how much slower or faster than it should the chip's data clock runs, a share, within its
-    tolerance; nan where nothing tells it. `noise_counts` (3,) is the noise of a reading.
+    """Return, by sensor, the relative rate error of the chip's data clock (positive if it is fast) if it is within its
+    tolerance; nan if the rows do not determine it. `noise_counts` (3,) is the noise of a reading in counts.
 
-    Rows that are equal by chance hide repeats. At rest their share is counted; where the box moves and the noise makes
-    equal rows rare, repeats tell the clock as well. Two sensors in one chip have one clock.
+    Rows that are equal by chance are mistaken for repeats. At rest their share is estimated and subtracted; phases in
+    motion are also used if rows are flagged, or if the noise makes equal rows rare. Two sensors in one chip have the
+    same clock.
     """
     errors = {}
     for name, header in headers.items():
@@ -73,8 +84,8 @@ def clock_errors(
 
 
 def _share_a_chip(first: SensorHeader, other: SensorHeader) -> bool:
-    """Return whether these are two sensors of a six-axis chip: of one name but for its last part, die, place and
-    axes.
+    """Return whether these are two sensors of a six-axis chip: they have the same name except for its last part, the
+    same die, position and axes, and measure different quantities.
     """
     stems = {header.name.rpartition("_")[0] for header in (first, other)}
     is_same_die = die_of(first.chip) == die_of(other.chip)
@@ -83,26 +94,31 @@ def _share_a_chip(first: SensorHeader, other: SensorHeader) -> bool:
 
 
 def _equal_by_noise(noise_counts: Floats) -> float:
-    """Return the probability that two readings with this noise (3,) are equal in all axes."""
+    """Return the probability that two readings with this noise (3,), in counts, are equal on all axes."""
     return float(np.prod(np.minimum(1 / (2 * math.sqrt(math.pi) * np.maximum(noise_counts, 1e-9)), 1.0)))
 
 
 def _clock_error(summaries: Sequence[Summary], header: SensorHeader, is_flagged: bool) -> float:
-    """Return the error of the clock by these phases; nan where they do not tell it.
+    """Return the relative error of the clock from these phases; nan if they do not determine it.
 
-    A host that polls faster than the chip measures reads some readings again, at regular intervals and each as
-    often as any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats
-    that come in longer runs have another reason, and those of a chip that is off by more than its tolerance are no
-    nuisance. A phase in which a reading is held for long tells nothing of the clock, which the other phases may
-    tell. Rows that the recorder flags as no new reading are repeats, however many rows are equal by chance; of
-    those flagged as overrun there was one reading more than was read, and where polls are much faster than the chip
-    the intervals between them tell the rest (`_readings_between_polls`). Polls that are early or late at the moment
-    of a new reading find none or two: flags that no single rate explains are those of a chip that is polled at its
-    nominal rate. If many readings come while they are read, the polls that find none are no count of what is
-    missing, but one or a few in a row are each slip of one clock against the other. Where no missed reading is
-    flagged, the share of repeats and the intervals between polls tell the rate (`_readings_per_s`). Where as many
-    readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate. Flags tell this
-    while the box moves, too.
+    A host that polls faster than the chip measures repeats some readings at regular intervals; the numbers of rows of
+    any two readings differ by at most one. The rate of the chip is then the rate of the polls multiplied by the share
+    of new readings. Longer runs of repeats have another cause (nan), except that a phase in which a reading is held for
+    a long time is skipped. An error beyond the tolerance of the chip is not a nuisance quantity (nan).
+
+    Rows that the recorder flags as stale are repeats, however many rows are equal by chance. Before each row that it
+    flags as overrun one reading was missed. The rate of each phase is estimated as follows:
+
+    - If the polls are much faster than the chip, from the share of repeats and the intervals between polls
+      (`_readings_between_polls`).
+    - If too many stale flags are doubtful (`tells_repetitions`), since readings are often updated while they are read,
+      from the number of slips: each slip of one clock against the other is a run of one or a few flagged rows.
+    - If missed readings are flagged, from the difference between missed and repeated readings.
+    - Otherwise from the share of repeats and the intervals between polls (`_readings_per_s`).
+
+    If missed and repeated readings are equally frequent, up to one or two in a phase, the error is 0. A poll that is
+    early or late when a new reading is due finds none or two; if no single rate explains the flags of all phases, the
+    chip is therefore assumed to be polled at its nominal rate (0).
     """
     phases = [phase for phase in summaries if phase.intervals.count]
     if header.rate_hz <= 0 or not phases:
@@ -116,7 +132,7 @@ def _clock_error(summaries: Sequence[Summary], header: SensorHeader, is_flagged:
         by_chance = _equal_neighbours(phase)
         excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
         longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + equal_in_a_row
-        longest += rows_per_s > _OVERSAMPLED * header.rate_hz  # a late poll may come just before the next one
+        longest += rows_per_s > _OVERSAMPLED * header.rate_hz  # a late poll may come just before the next reading
         if rows_per_s < (1 - tolerance) * header.rate_hz:
             continue
         if repeats.longest > longest + _HELD:
@@ -149,8 +165,9 @@ def _clock_error(summaries: Sequence[Summary], header: SensorHeader, is_flagged:
 
 
 def _polls_per_s(phase: Summary, rate_hz: float) -> float:
-    """Return rows in a second of a phase without its gaps. Polls of a chip that is polled more often than it measures
-    may skip single rows again and again, in which no reading is lost: such gaps, of two intervals, count.
+    """Return the number of polls per second in a phase without its gaps. If a chip is polled more often than it
+    measures, the recorder may regularly skip single rows without losing a reading; gaps of two intervals are then
+    included.
     """
     intervals = phase.intervals
     rows_per_s = 1 / intervals.mean_s
@@ -160,12 +177,12 @@ def _polls_per_s(phase: Summary, rate_hz: float) -> float:
 
 
 def _readings_per_s(intervals: Intervals, repeated: float) -> float:
-    """Return readings of the chip in a second, if it is polled about as often as it measures and a share of polls
-    `repeated` finds no new one.
+    """Return the number of readings of the chip per second, if it is polled about as often as it measures and the share
+    `repeated` of the polls finds no new reading.
 
-    A poll finds none with the probability 1 - d f, d the interval since the poll before and f the rate, if d is shorter
-    than the period 1 / f, and 0 else, whatever the phase of the clocks. Some polls of a busy host are late by many
-    times what the others scatter by, so that the mean is over the intervals themselves.
+    For a random phase of the clocks a poll finds no new reading with the probability 1 - d f, where d is the interval
+    since the previous poll and f the rate, if d is shorter than the period 1 / f, and otherwise 0. The mean is computed
+    over the histogram of intervals, since some polls of a busy host are late by many times the usual scatter.
     """
     if repeated <= 0:
         return 1 / intervals.mean_s
@@ -179,27 +196,30 @@ def _readings_per_s(intervals: Intervals, repeated: float) -> float:
 
 
 def _readings_between_polls(intervals: Intervals, repeated: float) -> float:
-    """Return readings of the chip in a second, if it is polled more often than it measures and a share of polls
-    `repeated` finds no new one.
+    """Return the number of readings of the chip per second, if it is polled more often than it measures and the share
+    `repeated` of the polls finds no new reading.
 
-    A poll finds none with the probability 1 - d f, d the interval since the poll before and f the rate, if d is shorter
-    than the period, and 0 else, whatever the phase of the clocks: the mean over the intervals gives f. How many
-    readings were missed in longer intervals does not matter; a reading that comes while it is read may hide that.
+    For a random phase of the clocks a poll finds no new reading with the probability 1 - d f, where d is the interval
+    since the previous poll and f the rate, if d is shorter than the period, and otherwise 0. The mean over the shorter
+    intervals determines f. The number of readings missed in longer intervals is not used; it is uncertain if readings
+    are updated while they are read.
     """
     share = intervals.shorter / (intervals.count + intervals.gaps)
     return (share - repeated) / (share * intervals.shorter_s) if share > repeated else math.nan
 
 
 def _equal_in_a_row(by_chance: float, rows: int) -> int:
-    """New readings that equal the one before, one after the other, at most: once in so many rows."""
+    """Return the length of the run of new readings, each equal to the previous one by chance, that occurs about once in
+    `rows` rows.
+    """
     if by_chance >= 1:
         return rows
     return math.ceil(math.log(rows) / -math.log(by_chance)) if by_chance > 1 / rows else 0
 
 
 def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
-    """Return the share of new readings that equal the one before, in all phases together: short ones show it poorly.
-    Flags tell the repeats from readings that are equal by chance.
+    """Return the share of new readings that equal the previous one, in all phases together, since short phases
+    determine it poorly. If repeats are flagged, it is counted without them.
     """
     if not is_flagged:
         return float(
@@ -212,8 +232,8 @@ def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
 
 
 def repeated_share(phase: Summary, is_flagged: bool) -> float:
-    """Return the share of the rows that are no new reading: by the recorder's flags if it sets any, otherwise by
-    equality.
+    """Return the share of the rows that are not a new reading: from the recorder's flags if it sets them, otherwise
+    from the share of equal rows beyond chance.
     """
     if is_flagged:
         return phase.flags["stale"] / phase.rows
@@ -224,10 +244,10 @@ def repeated_share(phase: Summary, is_flagged: bool) -> float:
 
 
 def flags_repeats(campaign: Campaign, header: SensorHeader) -> bool:
-    """Return whether the recorder flags rows of this sensor that are no new reading.
+    """Return whether the recorder flags rows of this sensor that are not a new reading.
 
-    A recorder that does so for any chip that says when a reading is new does so for all of these: one without a flag
-    has no such rows.
+    If it flags rows of any chip with a data-ready bit, it is assumed to do so for all of these chips; a sensor without
+    flagged rows then has no repeats.
     """
     if header.chip in NO_READY_BIT:
         return False
@@ -237,8 +257,9 @@ def flags_repeats(campaign: Campaign, header: SensorHeader) -> bool:
 
 @once
 def _equal_neighbours(phase: Summary) -> float:
-    """Return the share of new readings that equal the one before: that of readings far apart, and more where they
-    correlate, since the scatter of each axis's difference is smaller by the root of 1 - rho.
+    """Return the share of new readings that equal the previous one: that of readings far apart, increased if
+    neighbouring readings are correlated by rho, since the standard deviation of each axis's difference is smaller by
+    the root of 1 - rho.
     """
     repeats = phase.repeats
     far = float(np.nan_to_num(repeats.chance_share))

@@ -1,8 +1,8 @@
 """The effect of a gap on users of the sensors: errors of heading and velocity after coasting, of the fused array at
-rest, of force from face to face, and drift during heating.
+rest, of force over faces, and drift during heating.
 
-All figures come from summaries, so that a campaign's rows are read once; simulations have the same figures under the
-same names.
+All figures are computed from summaries, so that a campaign's rows are read once; simulations have the same figures
+under the same names.
 """
 
 from __future__ import annotations
@@ -24,14 +24,16 @@ from imuarray.log.format import Phase
 from imuarray.units import INERTIAL, READABLE_SI, SI_PER_UNIT
 
 Uses = Mapping[tuple[str, str], tuple[float, str]]
-"""Value and unit of each figure, by its name and sensor ("" for the array)."""
+"""Value and unit of each figure, by the name of the figure and the sensor ("" for the array)."""
 
 TAUS_S = (60.0, 50.0, 40.0, 30.0, 20.0, 15.0, 10.0, 5.0, 2.0, 1.0)
-"""Coasting times; the longest is used that the phases at rest determine."""
+"""Coasting times that are tried, in s; the longest one that the phases at rest determine is used."""
 
 _TERMS = 12
 _LEAST_RATIO = 4.25
-"""Least length of a phase in coasting times: it has Allan variances of up to twice the time, to interpolate between."""
+"""Least length of a phase in coasting times: it then has Allan variances up to twice the coasting time, between which
+the variance is interpolated.
+"""
 
 _LEAST_REPLICATES = 8
 _TINY = np.finfo(float).tiny
@@ -42,8 +44,8 @@ _UNITS = {"mg": "mg", "dps": "deg/s"}
 
 
 class CoastingError(NamedTuple):
-    """Root mean square `error` (3,) of the integral of each axis after `tau_s`, in `unit` (deg, or m/s of an
-    accelerometer), with a bias that was calibrated at rest for the `tau_s` before.
+    """Root mean square `error` (3,) of the integral of each axis over `tau_s`, in `unit` (deg for a gyroscope, m/s for
+    an accelerometer), with a bias that was calibrated at rest during the `tau_s` before.
     """
 
     tau_s: float
@@ -52,7 +54,7 @@ class CoastingError(NamedTuple):
 
 
 def uses_of(campaign: Campaign, residual_campaign: Campaign) -> Uses:
-    """Return all figures of use that the campaign allows; `residual_campaign` is its residual after its own fit
+    """Return all figures of use that the campaign determines; `residual_campaign` is its residual after its own fit
     (`imuarray.gap.model.base_model.residual`).
 
     For each inertial sensor, as the root mean square over its axes: error after coasting, residual over faces or poses
@@ -77,7 +79,7 @@ def uses_of(campaign: Campaign, residual_campaign: Campaign) -> Uses:
 
 
 def coasting(campaign: Campaign, sensor: str) -> CoastingError | None:
-    """Error of an inertial sensor after coasting, exactly sqrt(2) tau sigma_A(tau).
+    """Return the error of an inertial sensor after coasting, which is exactly sqrt(2) tau sigma_A(tau).
 
     The integral of the readings less the calibrated bias is the second difference of their running integral, whose mean
     square is 2 tau^2 sigma_A^2. Allan variances at octaves of rows are pooled over the phases at rest by their terms
@@ -98,8 +100,9 @@ def coasting(campaign: Campaign, sensor: str) -> CoastingError | None:
 
 
 def fused(campaign: Campaign, quantity: str) -> float | None:
-    """Root mean square over the box's axes, deg/s or mg, of the mean of all sensors of a quantity about its mean in
-    each phase at rest, by the windows of `imuarray.gap.statistics.cross`; None without at least two such sensors.
+    """Return the root mean square over the box's axes, in deg/s or mg, of the mean of all sensors of a quantity about
+    its mean in each phase at rest, from the windows of `imuarray.gap.statistics.cross`. None if no phase at rest with
+    joint moments has such a sensor.
     """
     parts = [
         (_mean_square(phase.cross, quantity), phase.cross.windows)
@@ -117,8 +120,8 @@ def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use
     """Return the figures of a recording with those of its simulations before and after the causes were added.
 
     A simulated figure is the median of the replicates with their 95 % interval. The interval of the recorded figure is
-    the scatter of the replicates about their median: of those `after` if they are 8, else of those `before`; nan if
-    neither are.
+    the scatter of the replicates about their median: of those `after` if there are at least 8, otherwise of those
+    `before`; nan if there are fewer than 8 of these.
     """
     table = []
     for (name, sensor), (value, unit) in real.items():
@@ -129,8 +132,8 @@ def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use
 
 
 def attitude_of(phase: Phase) -> str:
-    """Return the attitude of a phase at rest: the axis that is up, or the name of a pose by hand; "" if it is not
-    known.
+    """Return the attitude of a phase at rest: the axis that points up, or the name of a hand-held pose; "" if it is
+    unknown.
     """
     return phase.up or (phase.name if phase.name.startswith("pose ") else "")
 
@@ -140,8 +143,8 @@ def _rms(values: Floats) -> float:
 
 
 def _longest_s(phases: Sequence[Summary]) -> float:
-    """Return the longest coasting time that the phases allow, by their length (which simulations share) and not by the
-    rows received; 0 if all are too short.
+    """Return the longest coasting time, in s, that the phases determine; 0 if all are too short. It depends on the
+    lengths of the phases, which simulations have too, and not on the number of rows.
     """
     if not phases:
         return 0.0
@@ -156,7 +159,9 @@ def _longest_s(phases: Sequence[Summary]) -> float:
 
 
 def _allan_at(phase: Summary, tau_s: float) -> tuple[Floats, float] | None:
-    """Allan variance (3,) in the sensor's unit squared and its number of terms; None outside the phase's octaves."""
+    """Return the Allan variance (3,) in the squared unit of the sensor and its number of terms; None outside the
+    octaves of the phase.
+    """
     variance, terms, _ = phase.allan
     known = np.flatnonzero(terms)
     octave = float(np.log2(tau_s / phase.intervals.mean_s))
@@ -168,7 +173,9 @@ def _allan_at(phase: Summary, tau_s: float) -> tuple[Floats, float] | None:
 
 
 def _mean_square(cross: Cross, quantity: str) -> float:
-    """Return the mean square in deg^2/s^2 or mg^2 over the box's axes; nan without such a sensor."""
+    """Return the mean square, in deg^2/s^2 or mg^2, over the box's axes of the mean of all sensors of the quantity; nan
+    without one.
+    """
     members = [sensor for sensor in cross.sensors if sensor.quantity == quantity]
     weights = np.zeros((3, cross.fast.shape[0]))
     for sensor in members:
@@ -180,7 +187,7 @@ def _mean_square(cross: Cross, quantity: str) -> float:
 
 
 def _residuals(campaign: Campaign, sensor: str, quantity: str) -> Iterator[tuple[str, float]]:
-    """Yield names and values, in the sensor's unit, of the residual levels."""
+    """Yield the names and the values, in the sensor's unit, of the residual levels and of the drift over heating."""
     faces: dict[str, list[Floats]] = {}
     for log in campaign.logs:
         for phase in log.still(sensor):
@@ -196,8 +203,8 @@ def _residuals(campaign: Campaign, sensor: str, quantity: str) -> Iterator[tuple
 
 
 def _peak_to_peak(phases: Sequence[Summary]) -> Floats:
-    """Peak to peak (3,) of the means of well filled segments, each face about its own mean; the largest of the
-    faces.
+    """Return the largest peak-to-peak value (3,) over the attitudes of the means of segments, in the sensor's unit.
+    Segments with fewer than half of the median number of rows are left out.
     """
     faces: dict[str, list[Floats]] = {}
     for phase in phases:

@@ -1,8 +1,8 @@
-"""Temperature of the sensing elements, which follow the temperature that is measured in the box with a lag.
+"""Temperature of the sensing elements, which follows the temperature that is measured in the box with a lag.
 
-A chip, its board and the air around them take up to some tens of seconds to warm up, and no data sheet prints it: the
-time constant of each chip is a nuisance parameter, fitted to the readings in the heat within `LONGEST_LAG_S`. Where
-the chips' own thermometers show that dies are later, elements may be as late (`longest_lags_s`).
+A chip, its board and the air around them take up to some tens of seconds to warm up, and no data sheet prints this
+time. The time constant of each chip is therefore a nuisance parameter, fitted to the readings during heating and
+limited to `LONGEST_LAG_S`, or to a longer time if the chips' own thermometers have one (`longest_lags_s`).
 """
 
 from __future__ import annotations
@@ -22,43 +22,52 @@ from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.motion.felt import Motion, thermometer_lag_s
 
 LONGEST_LAG_S = 20.0
-"""Longest usual time constant of a chip in a box whose thermometer shows none; beyond it a lag is an effect."""
+"""Longest usual time constant, in s, of a chip in a box if no chip thermometer shows a longer one; a longer lag is an
+effect.
+"""
 
 LONGEST_DIE_LAG_S, _BEYOND_DIE = 50.0, 1.25
-"""Longest usual time constant of a die, as its thermometer shows it: some tens of seconds for a small board in still
-air. By so much longer than that of the die may an element's be.
+"""Longest usual time constant, in s, that a die's thermometer can justify: some tens of seconds for a small board in
+still air; and the largest ratio of the time constant of an element to that of its die.
 """
 
 LEAST_HEATING_DEGC = 3.0
-"""Least span of temperatures in one attitude of the box that determines a slope, or a lag: over minutes a bias wanders
-as much as it changes in a degree.
+"""Least range of temperatures, in degC, in one attitude of the box from which a slope or a lag is estimated: within
+minutes a bias wanders by as much as it changes per degree.
 """
 
 _LAGS_S = (0.0, 1.0, 2.0, 3.5, CHIP_LEAD_S, 7.5, 10.0, 14.0, LONGEST_LAG_S, 28.0, 38.0, LONGEST_DIE_LAG_S)
-"""Time constants that are tried; between them a parabola through the sums of squares is followed."""
+"""Time constants that are tried, in s; the minimum between them is that of a parabola through the sums of squares."""
 
 _GAIN = 16.0
-"""Least decrease of chi-squared by a lag, four standard deviations."""
+"""Least decrease of chi-squared for which a lag is accepted: four standard deviations."""
 
 _GAIN_BY_CHIP = 2.0
-"""The same where a chip tells the temperature: its own lag is not known, so that the usual one has little weight."""
+"""The same if a chip's thermometer measures the temperature: the lag of that thermometer is not known, so the usual lag
+has little weight.
+"""
 
 _MOST_CACHED = 2000
-"""Most phases of a log, times time constants, whose temperatures are cached; replicates have the same times."""
+"""Largest number of cached temperature arrays per motion, one for each phase and time constant; replicates have the
+same times.
+"""
 
 _cache: MutableMapping[Motion, dict[tuple[bytes, float], Floats]] = WeakKeyDictionary()
 
 
 def with_element_temperatures(campaign: Campaign, motions: Sequence[Motion], lags_s: Mapping[str, float]) -> Campaign:
-    """Return the campaign with the temperatures of the segments of each sensor lagging by its time constant, in s."""
+    """Return the campaign with the temperatures of each sensor's element in its segments at rest, which lag by the
+    time constants `lags_s`.
+    """
     if not any(lags_s.values()):
         return campaign
     return Campaign(tuple(_log_with(log, motion, lags_s) for log, motion in zip(campaign.logs, motions, strict=True)))
 
 
 class HeatedRest(NamedTuple):
-    """A phase at rest: the `attitude` of the box, which it shares with others, its segments, the motion of the log, and
-    the readings (s, a) of the segments that have rows: of three axes in the sensor's unit, or a thermometer's counts.
+    """A phase at rest: the `attitude` of the box, which several phases can have in common, its segments, the motion of
+    the log, and the readings (s, a) of the segments with rows: of three axes in the sensor's unit, or of a thermometer
+    in counts.
     """
 
     attitude: Hashable
@@ -68,10 +77,10 @@ class HeatedRest(NamedTuple):
 
 
 def longest_lags_s(rests: Mapping[str, Sequence[HeatedRest]]) -> dict[str, float]:
-    """Return the longest usual time constant, in s, of the element of each sensor, whose phases at rest are `rests`.
+    """Return the longest usual time constant, in s, of the element of each sensor with the phases at rest `rests`.
 
-    It is that of a die by its own thermometer, with a margin, at least `LONGEST_LAG_S` and at most `LONGEST_DIE_LAG_S`;
-    for a chip without a thermometer that is compared, the longest of the other chips on the same board.
+    It is the time constant of the die, measured by its own thermometer, with a margin; at least `LONGEST_LAG_S` and at
+    most `LONGEST_DIE_LAG_S`. For a chip without a usable thermometer the longest one of the other chips is used.
     """
     by_sensor = {sensor: _die_lag_s(phases) for sensor, phases in rests.items()}
     slowest_s = max((lag_s for lag_s in by_sensor.values() if lag_s is not None), default=0.0)
@@ -82,7 +91,9 @@ def longest_lags_s(rests: Mapping[str, Sequence[HeatedRest]]) -> dict[str, float
 
 
 def _die_lag_s(rests: Sequence[HeatedRest]) -> float | None:
-    """Return the time constant for which a chip's own thermometer follows the temperature best; None without one."""
+    """Return the time constant, in s, with which a chip's own thermometer follows the temperature best; None without a
+    thermometer or without heating.
+    """
     known = []
     for rest in rests:
         counts = rest.segments.thermometer[rest.segments.rows > 0]
@@ -96,13 +107,13 @@ def _die_lag_s(rests: Sequence[HeatedRest]) -> float | None:
 
 
 def fit_lag(rests: Sequence[HeatedRest], rms: Floats, longest_s: float = LONGEST_LAG_S) -> float:
-    """Return the time constant in s, 0 to `longest_s`, for which the readings in these phases follow the temperature
-    best.
+    """Return the time constant in s, from 0 to `longest_s`, with which the readings in these phases follow the
+    temperature best.
 
-    `rms` (3,) is that of single readings. Where no attitude has enough heating, or no lag is significantly better, it
-    is the usual one: none, or that of the thermometer by which the temperature is known (`CHIP_LEAD_S`). Readings that
-    follow a parabola over temperature better than a straight line with any lag have the lag that goes with a parabola:
-    in a heating that only rises a curve looks like a lag.
+    `rms` (3,) is the noise of single readings in the sensor's unit. If no attitude has enough heating, or if no lag is
+    significantly better, the usual lag is returned: 0, or that of the chip thermometer that measured the temperature
+    (`CHIP_LEAD_S`). If a parabola over temperature with the usual lag fits better than a straight line with any lag,
+    the lag is fitted together with a parabola, since with a temperature that only rises a curve is similar to a lag.
     """
     attitudes, lags_s = _heated_attitudes(rests), [*(lag_s for lag_s in _LAGS_S if lag_s < longest_s), longest_s]
     usual_s = usual_lag_s([rest.motion for rest in rests])
@@ -117,7 +128,7 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats, longest_s: float = LONGEST
 
 
 def _least(misfits: Sequence[float] | Floats, lags_s: Sequence[float]) -> float:
-    """Return the lag of the least misfit, by a parabola through the least and its neighbours."""
+    """Return the lag with the least misfit, interpolated by a parabola through the least misfit and its neighbours."""
     best = int(np.argmin(misfits))
     near = slice(max(best - 1, 0), best + 2)
     if len(misfits[near]) < 3:
@@ -127,14 +138,14 @@ def _least(misfits: Sequence[float] | Floats, lags_s: Sequence[float]) -> float:
 
 
 def usual_lag_s(motions: Sequence[Motion]) -> float:
-    """Return the lag, in s, of a chip whose readings tell none in logs with these motions: none, or that of the
-    thermometer by which the temperature is known.
+    """Return the lag, in s, that is assumed for a chip whose readings do not determine it, in logs with these motions:
+    0, or that of the chip thermometer that measured the temperature.
     """
     return max(map(thermometer_lag_s, motions), default=0.0)
 
 
 def _heated_attitudes(rests: Sequence[HeatedRest]) -> list[list[HeatedRest]]:
-    """Return the phases of each attitude in which the temperature changes enough."""
+    """Return the phases of each attitude in which the temperature changes by at least `LEAST_HEATING_DEGC`."""
     by_attitude: dict[Hashable, list[HeatedRest]] = {}
     for rest in rests:
         by_attitude.setdefault(rest.attitude, []).append(rest)
@@ -147,8 +158,8 @@ def _is_heated(rests: Sequence[HeatedRest]) -> bool:
 
 
 def _misfits(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats) -> tuple[float, float]:
-    """Return chi-squared of readings (s, a) of `rms` (a,) about a straight line and about a parabola over temperature,
-    with one level for each attitude.
+    """Return chi-squared of the readings (s, a) with noise `rms` (a,) about a straight line and about a parabola over
+    the lagged temperature, with one level for each attitude.
     """
     moments, shared, total = np.zeros((2, 2)), np.zeros((2, len(rms))), np.zeros(len(rms))
     for members in attitudes:
@@ -188,8 +199,8 @@ def _segments_with(segments: Segments, motion: Motion, lag_s: float) -> Segments
 
 
 def lagged_degc(segments: Segments, motion: Motion, lag_s: float) -> Floats:
-    """Return temperature (s,) of an element of this time constant at the segments' times; nan where a segment has no
-    rows.
+    """Return the temperature (s,), in degC, of an element with the time constant `lag_s` at the segments' mean times;
+    nan for segments without rows.
     """
     if lag_s == 0.0:
         return segments.temperature_degc

@@ -1,4 +1,4 @@
-"""Specific force in phases at rest whose attitude is not noted, estimated from all accelerometers."""
+"""Specific force in phases at rest whose attitude was not noted, estimated from all accelerometers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.units import STANDARD_GRAVITY
 
 _INSTANTS = 64
-"""Instants at which a known force is averaged: a reference has noise."""
+"""Number of instants over which a known force is averaged, since a reference is noisy."""
 
 NO_CHANGE = np.zeros(3)
 
@@ -30,10 +30,10 @@ Forces = Mapping[tuple[int, int], Floats]
 def estimated_forces(
     campaign: Campaign, motions: Sequence[Motion], thermal: Callable[[Summary], Floats] = lambda summary: NO_CHANGE
 ) -> Forces:
-    """Return forces in the phases whose attitude is estimated, from all phases at rest of the campaign together.
+    """Return the forces in the phases whose attitude is estimated, from all phases at rest of the campaign together.
 
-    `thermal` gives the change (3,) of a sensor's mean reading by its temperature, in its unit, which is subtracted: an
-    array whose accelerometers drift alike in the heat does not tilt.
+    `thermal` returns the change (3,) of a sensor's mean reading due to temperature, in its unit, which is subtracted: a
+    common drift of the accelerometers with temperature is not a tilt.
     """
     rests = list(_rests(campaign, motions))
     if not any(rest.known is None for rest in rests):
@@ -48,8 +48,8 @@ def estimated_forces(
 
 
 def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:
-    """Return forces in these phases by the sensors' known errors: `less` gives the mean (3,) of a sensor without them,
-    in its unit.
+    """Return the forces in the phases whose attitude is estimated, from readings that are corrected for the sensors'
+    fitted errors: `less` returns the corrected mean (3,) of a sensor, in its unit.
     """
     rests = [rest for rest in _rests(campaign, motions) if rest.known is None]
     if not rests:
@@ -61,8 +61,9 @@ def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callabl
 
 
 class _Rest(NamedTuple):
-    """A phase at rest: its place, the log and the number of its attitude there, its accelerometers by name, the force
-    (3,) in g (None if not known), and the force on the noted face if that is level (nan if none is noted).
+    """A phase at rest: its `place` (log number and start in ns), its `attitude` (log number and number of the attitude
+    in the log), its accelerometers by name, the `known` force (3,) in g (None if it is estimated), and the `nominal`
+    force (3,) in g for the noted face without tilt (nan if no face is noted).
     """
 
     place: tuple[int, int]
@@ -90,13 +91,15 @@ def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
 
 
 def mean_force_g(motion: Motion, phase: Phase) -> Floats:
-    """Return the mean specific force (3,) in g, box frame, that a motion has in a phase."""
+    """Return the mean specific force (3,) of a motion in a phase, in g, box frame."""
     at_ns = np.linspace(phase.start_ns, phase.end_ns - 1, _INSTANTS).astype(np.int64)
     return np.asarray(np.mean(motion.felt(at_ns).force_box, axis=0) / STANDARD_GRAVITY)
 
 
 def _readings(phases: Sequence[Mapping[str, Summary]], of: Callable[[Summary], Floats]) -> Floats:
-    """Return the mean readings (k, s, 3) in the box frame, nan where a sensor has none."""
+    """Return the readings `of` the summaries (k, s, 3) of k phases and s sensors in the box frame, nan where a sensor
+    has none.
+    """
     names = dict.fromkeys(name for phase in phases for name in phase)
     nothing = np.full(3, np.nan)
     rows = [

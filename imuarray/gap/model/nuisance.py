@@ -1,7 +1,7 @@
 """Estimates of the nuisance quantities of a recording, with the tolerance that the data sheet allows each part.
 
-They explain no gap: the fit removes them, or the replicates draw them. A value beyond its tolerance means that the part
-is out of specification, which is a different finding than an effect that the simulator lacks.
+They do not cause a gap, since the fit removes them or the replicates draw them. A value beyond its tolerance means that
+the part is out of specification, which is a different finding from an effect that the simulator lacks.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class NuisanceEstimate(NamedTuple):
     """Estimate of one quantity of one sensor, on one `axis` ("" for the whole sensor, "xy" for axis x tilted towards
     y).
 
-    `value` and `tolerance` in `unit`, a tolerance of nan where the data sheet prints none; `source` of the tolerance.
+    `value` and `tolerance` are in `unit`; the tolerance is nan if the data sheet prints none; `source` is that of the
+    tolerance.
     """
 
     quantity: str
@@ -49,13 +50,13 @@ class NuisanceEstimate(NamedTuple):
 
     @property
     def pull(self) -> float:
-        """The value in tolerances; nan without one."""
+        """The value divided by the tolerance; nan without a tolerance."""
         return self.value / self.tolerance if self.tolerance > 0 else math.nan
 
 
 def nuisance_estimates(campaign: Campaign, base: Base, *, has_reference: bool) -> tuple[NuisanceEstimate, ...]:
-    """Return the nuisance quantities of all sensors of a campaign to which `base` was fitted; zeros of chip
-    thermometers only if the campaign `has_reference` temperature.
+    """Return the nuisance quantities of all sensors of a campaign to which `base` was fitted. The zeros of chip
+    thermometers are included only if `has_reference`: the campaign has a reference temperature.
     """
     return tuple(
         estimate
@@ -90,8 +91,9 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
 
 
 def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[NuisanceEstimate]:
-    """Yield the noise at rest over that of the data sheet, rounding included in both. It has no tolerance: data sheets
-    print a typical figure, often for one range or mode only; that of a BMA180 grows with the range (PAP-05).
+    """Yield the ratio of the noise at rest to that of the data sheet, in dB, with rounding included in both. It has no
+    tolerance: data sheets print a typical figure, often for one range or mode only; that of a BMA180 grows with the
+    range (PAP-05).
     """
     printed = printed_noise(header)
     if printed is None:
@@ -104,7 +106,7 @@ def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisan
 
 
 def _response(header: SensorHeader, axis: str, along: str, value: float, tolerance: float) -> NuisanceEstimate:
-    """One component of the response to specific force."""
+    """Return one component of the response to specific force as a nuisance quantity."""
     if header.quantity != "specific_force":
         unit = f"{header.unit}/g"
         return NuisanceEstimate("g-sensitivity", header.name, axis + along, value, unit, tolerance, _USUAL)
@@ -115,7 +117,7 @@ def _response(header: SensorHeader, axis: str, along: str, value: float, toleran
 
 
 def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[NuisanceEstimate]:
-    """Yield the zero of the chip's own thermometer against the reference."""
+    """Yield the offset of the chip's own thermometer from the reference."""
     converter, zero = thermometer_of(header), thermometer_zero_degc(_rests(campaign, header.name))
     if converter is not None and math.isfinite(zero):
         tolerance = thermometer_tolerance_degc(header)
@@ -123,8 +125,8 @@ def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[Nuisan
 
 
 def thermometer_zero_degc(phases: Sequence[Summary]) -> float:
-    """Return the mean temperature by a chip's thermometer and its data sheet (BMA-64, L3G-60) less the reference; nan
-    without one.
+    """Return the mean temperature that a chip's thermometer measures, by its data sheet (BMA-64, L3G-60), less the
+    reference; nan without a thermometer or a reference.
     """
     converter = thermometer_of(phases[0].header) if phases else None
     if converter is None:

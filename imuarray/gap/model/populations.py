@@ -1,8 +1,8 @@
-"""Populations and tolerances of the nuisance quantities that a data sheet leaves to the part.
+"""Populations and tolerances of the nuisance quantities that differ from part to part within the data sheet.
 
-The data sheets' figures where they print any, otherwise what is usual for the kind of sensor. Every replicate of the
-base model draws its parts from these populations; a fitted quantity is compared with its tolerance (a pull). A repaired
-model has the same populations.
+They are the figures of the data sheets if these print any, and otherwise usual values for the kind of sensor. Every
+replicate of the base model draws its parts from these populations; a fitted quantity is compared with its tolerance (a
+pull). A repaired model has the same populations.
 """
 
 from __future__ import annotations
@@ -28,64 +28,68 @@ from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 
 SCALE_SIGMA, ANGLE_SIGMA_DEG, G_SENSITIVITY_SIGMA = 0.01, 0.7, 0.01
-"""Standard deviations of sensors in an array. Data sheets print the alignment of a die in its package (half a degree,
-BMA-119), but not that of soldering and mounting. The paper's gyroscopes changed by up to 0.038 dps over 2 g (its Table
-4).
+"""Standard deviations over the sensors of an array: relative scale error, misalignment in degrees, and g-sensitivity of
+a gyroscope in dps per g. Data sheets print the alignment of a die in its package (half a degree, BMA-119), but not that
+of soldering and mounting. The paper's gyroscopes changed by up to 0.038 dps over 2 g (its Table 4).
 """
 
 TURN_ON_SHARE = 0.01
 """Largest usual scatter of a bias from one power-on to the next, as a share of the bias that the data sheet allows at
 the configured range. No data sheet prints it: the paper's parts scatter by up to 0.7 mg and 0.057 dps (the left half of
-its Table 11), other parts by several times as much.
+its Table 11), other parts by several times more.
 """
 
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 1.2e-3, "dps": 0.15})
-"""The largest usual scatter by unit, also of a chip whose data sheet allows little bias: the board scatters, too."""
+"""Least value, by unit, of this largest usual scatter, also for a chip whose data sheet allows little bias: the board
+contributes to the scatter.
+"""
 
 FLICKER_FLOOR: Mapping[str, float] = MappingProxyType({"g": 6e-5, "dps": 4e-3, "gauss": 2e-4})
-"""The largest usual flicker (1/f) by unit, as the flat part of the Allan deviation: every such sensor has some, and no
-data sheet of these chips prints it.
+"""Largest usual flicker noise (1/f) by unit, as the flat part of the Allan deviation: every sensor of this kind has
+flicker, and the data sheets of these chips do not print it.
 """
 
 FLICKER_TIMES_S = 1024.0, 4.0
-"""Slowest and fastest time constant of this flicker: faster ones are below the white noise."""
+"""Slowest and fastest time constant of this flicker, in s: faster components are below the white noise."""
 
 _OFFSET_TOLERANCE_G = 0.15
-"""Bias of an accelerometer whose data sheet is not known (ADX-60)."""
+"""Tolerance of the bias, in g, of an accelerometer whose data sheet is not known (ADX-60)."""
 
 THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0.02, "gauss": 2e-3})
-"""Change of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much); a
-magnetometer at rest shows that of its scale (0.3 % of half a gauss: HMC-57).
+"""Standard deviation of the change of a bias per degC, by unit, for chips whose data sheet is not known; BMA-115 and
+L3G-71 print the same values. For a magnetometer at rest it is the change of its scale (0.3 % of half a gauss: HMC-57).
 """
 
 THERMAL_GROWTH_SIGMA = 0.0015
-"""Change of the slope of a bias over temperature, as a share of it, per degC. Data sheets print a typical slope only:
-over 20 degC that of a part changes by some percent, and its bias follows a curve.
+"""Standard deviation of the quadratic coefficient of a bias over temperature, as a share of its slope per degC. Data
+sheets print only a typical slope; over 20 degC that of a part changes by some percent, so its bias follows a curve.
 """
 
 CLOCK_SIGMA = 0.02
-"""Relative error of a chip's data clock where no tolerance is printed: RC oscillators keep a few percent."""
+"""Standard deviation of the relative error of a chip's data clock if no tolerance is printed: RC oscillators are
+accurate to a few percent.
+"""
 
 GRAVITY_TOLERANCE = 0.003
-"""Relative: gravity at sea level is 9.780 m/s^2 at the equator and 9.832 m/s^2 at the poles (WGS 84), 9.80665 m/s^2
-being standard; 300 m of height take 0.01 %.
+"""Relative tolerance of local gravity: at sea level it is 9.780 m/s^2 at the equator and 9.832 m/s^2 at the poles (WGS
+84), compared with the standard 9.80665 m/s^2; a height of 300 m reduces it by 0.01 %.
 """
 
 POSITION_SIGMA_MM = 1.5
-"""Standard deviation of an accelerometer's place in the box about the noted one, along each axis: three of them are
-about the size of a package, and no data sheet prints where the element sits in it.
+"""Standard deviation, in mm along each axis, of an accelerometer's position in the box about the noted one: three
+standard deviations are about the size of a package, and no data sheet prints the position of the element in it.
 """
 
 CUTOFF_TOLERANCE = 0.5
-"""Relative tolerance. Few data sheets print a filter's order or the tolerance of its cutoff; the paper's gyroscopes,
-set to 35 Hz, have the correlation of a first-order filter of 51 Hz.
+"""Relative tolerance of the cutoff of a filter. Few data sheets print the order of a filter or the tolerance of its
+cutoff; the paper's gyroscopes, set to 35 Hz, have the correlation of a first-order filter of 51 Hz.
 """
 
 LEAST_CORRELATION = 0.02
-"""Least correlation of rows that shows a filter."""
+"""Least correlation between rows that indicates a filter."""
 
 TOLERANCE_SIGMAS = 3.0
-"""Tolerance in standard deviations of a population without a printed limit."""
+"""Tolerance of a population without a printed limit, in standard deviations."""
 
 USUAL: Mapping[str, Recipe] = MappingProxyType(
     {
@@ -94,7 +98,7 @@ USUAL: Mapping[str, Recipe] = MappingProxyType(
         "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)},
     }
 )
-"""Populations of the quantities that aren't fitted, for sensors without a model."""
+"""Populations of the quantities that are not fitted, for sensors without a model."""
 
 _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
     {
@@ -113,15 +117,15 @@ _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
 """Further populations for sensors with these units."""
 
 PRINTED = frozenset({"scale", "thermal_bias", "thermal_scale", "nonlinearity", "g_sensitivity"})
-"""Kinds for which the data sheets' populations are used where there are any."""
+"""Kinds of effect for which the populations of the data sheets are used if they exist."""
 
 
 def usual_model(headers: Iterable[SensorHeader]) -> Model:
-    """Return the model of these sensors' chips with only the quantities that no fit determines."""
+    """Return the model of these sensors' chips with only the quantities that are not fitted."""
     parts: dict[tuple[str, str, float | None], Part] = {}
     for header in headers:
         for part in (part for part in _data_sheets().designs if part.fits(header)):
-            # at rest, the thermal slope of a magnetometer is that of its scale, which is drawn as that of its bias
+            # at rest the thermal slope of a magnetometer's scale acts as a slope of its bias, and is drawn as one
             printed = PRINTED - {"thermal_scale"} if header.unit == "gauss" else PRINTED
             if effects := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in printed}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=effects)
@@ -139,8 +143,8 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
 
 
 def printed_noise(header: SensorHeader) -> Triple | None:
-    """Standard deviation of readings along a sensor's axes by its data sheet, in its unit, at the configured bandwidth;
-    None where the data sheet prints none or the bandwidth is not known.
+    """Return the standard deviation of readings along a sensor's axes from its data sheet, in its unit, at the
+    configured bandwidth; None if the data sheet prints none or the bandwidth is not known.
     """
     if noise_bandwidth_hz(header) <= 0:
         return None
@@ -149,15 +153,16 @@ def printed_noise(header: SensorHeader) -> Triple | None:
 
 
 def own_unit(header: SensorHeader) -> str:
-    """Return the unit in the part of a chip that has no driver, "" for the others."""
+    """Return the unit that identifies the part of a chip without a driver; "" for the others."""
     return "" if header.chip in TRIADS else header.unit
 
 
 def response_tolerance(header: SensorHeader, accelerometers: int = 1) -> Floats:
     """Return the largest response (3, 3) of each axis (row) of a part to specific force along each axis (column).
 
-    It is that against the attitude by so many `accelerometers`. The median of several is misaligned itself, with pi / 2
-    of the variance of a mean; half of the difference of two is within the tolerance of one.
+    The response is relative to the attitude that `accelerometers` accelerometers measure. The median of several is
+    misaligned itself, with pi / 2 times the variance of a mean; half of the difference of two is within the tolerance
+    of one.
 
     In the units of `FittedParameters.response`: for an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
     BMA-76, plus the deviation of local gravity, which a log at rest cannot separate from it) and the sine of the
@@ -174,7 +179,9 @@ def response_tolerance(header: SensorHeader, accelerometers: int = 1) -> Floats:
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
-    """Return whether an effect is a nuisance quantity that every such sensor has."""
+    """Return whether an effect is a nuisance quantity that is usual for the sensor: flicker or a turn-on bias of at
+    most the usual size.
+    """
     if isinstance(effect, BiasInstability):
         largest = usual_flicker((FLICKER_FLOOR.get(header.unit, 0.0),) * 3)
         return replace(effect, rms=largest.rms) == largest and max(effect.rms) <= max(largest.rms)
@@ -182,7 +189,7 @@ def is_usual(effect: Effect, header: SensorHeader) -> bool:
 
 
 def usual_flicker(floor: Triple) -> BiasInstability:
-    """Return the flicker whose Allan deviation is flat at `floor`, by axis in the sensor's unit."""
+    """Return the flicker whose Allan deviation is flat at `floor` (3 axes, in the sensor's unit)."""
     slowest_s, fastest_s = FLICKER_TIMES_S
     flicker = BiasInstability((0.0, 0.0, 0.0), slowest_s, fastest_s)
     x, y, z = (level * math.sqrt(len(flicker.time_constants_s)) for level in floor)
@@ -190,7 +197,7 @@ def usual_flicker(floor: Triple) -> BiasInstability:
 
 
 def is_near_noted_position(effect: Effect, header: SensorHeader) -> bool:
-    """Return whether an effect is the position that an accelerometer has by its header, within the tolerance."""
+    """Return whether an effect is a position that agrees with the one noted in the header, within the tolerance."""
     if not isinstance(effect, SizeEffect):
         return False
     deviation_mm = np.subtract(effect.position_mm, header.position_mm)
@@ -198,7 +205,7 @@ def is_near_noted_position(effect: Effect, header: SensorHeader) -> bool:
 
 
 def turn_on_rms(header: SensorHeader) -> float:
-    """Return the largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not
+    """Return the largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 if it is not
     known.
     """
     allowed = min(offset_tolerance(header))
@@ -207,18 +214,18 @@ def turn_on_rms(header: SensorHeader) -> float:
 
 
 def clock_tolerance(header: SensorHeader) -> float:
-    """Relative error of the data clock that the data sheet allows a part (BMA-107), else the usual one."""
+    """Return the relative error of the data clock that the data sheet allows a part (BMA-107), or the usual one."""
     return _reach(header, "own_clock", "rate_error", TOLERANCE_SIGMAS * CLOCK_SIGMA)
 
 
 def scale_tolerance(header: SensorHeader) -> float:
-    """Relative error of scale that the data sheet allows a part, else the usual one."""
+    """Return the relative scale error that the data sheet allows a part, or the usual one."""
     return _reach(header, "scale", "error", TOLERANCE_SIGMAS * SCALE_SIGMA)
 
 
 def slope_tolerance(header: SensorHeader) -> tuple[float, float, float]:
     """Return the change of a bias per degC that the data sheet allows each axis of a part (ADX-62, BMA-115, L3G-71), in
-    the sensor's unit, else the usual one; nan for a unit of which nothing is known.
+    the sensor's unit, or the usual one; nan for a unit without a usual value.
     """
     usual = TOLERANCE_SIGMAS * THERMAL_SLOPE_SIGMA.get(header.unit, math.nan)
     key = f"slope_{header.unit}_per_degc"
@@ -227,29 +234,29 @@ def slope_tolerance(header: SensorHeader) -> tuple[float, float, float]:
 
 
 def offset_tolerance(header: SensorHeader) -> tuple[float, float, float]:
-    """Bias that the data sheet allows each axis of a part (ADX-61, BMA-113, L3G-70), in the sensor's unit; nan where it
-    prints none.
+    """Return the bias that the data sheet allows each axis of a part (ADX-61, BMA-113, L3G-70), in the sensor's unit;
+    nan if it prints none.
     """
     x, y, z = (_reach(header, "bias", f"offset_{header.unit}", math.nan, axis) for axis in range(3))
     return x, y, z
 
 
 def common_bias_sigma_g(headers: Iterable[SensorHeader]) -> float:
-    """Standard deviation of the mean bias of these accelerometers along an axis of the box."""
+    """Return the standard deviation of the mean bias of these accelerometers along an axis of the box, in g."""
     tolerances = [offset_tolerance(header) for header in headers if header.quantity == "specific_force"]
     known = [np.nan_to_num(tolerance, nan=_OFFSET_TOLERANCE_G) for tolerance in tolerances]
     return float(np.sqrt(np.mean(np.square(known)) / len(known))) / TOLERANCE_SIGMAS if known else 0.0
 
 
 def thermometer_tolerance_degc(header: SensorHeader) -> float:
-    """Return how far a chip's thermometer may be off (BMA-64); nan where the sheet prints no absolute reference
-    (L3G-60).
+    """Return the tolerance of the offset of a chip's thermometer, in degC (BMA-64); nan if the data sheet prints no
+    absolute reference (L3G-60).
     """
     return _reach(header, "thermometer", "offset_degc", math.nan)
 
 
 def _reach(header: SensorHeader, kind: str, key: str, usual: float, axis: int = 0) -> float:
-    """Return the largest value that the data sheets' population allows, or the `usual` one."""
+    """Return the largest value of a quantity that the population of the data sheet allows, or the `usual` one."""
     parts = _data_sheets().parts(header)
     if kind not in parts:
         return usual
@@ -260,8 +267,8 @@ def _reach(header: SensorHeader, kind: str, key: str, usual: float, axis: int = 
 
 
 def _guaranteed(recipes: tuple[Recipe, ...]) -> tuple[Recipe, ...]:
-    """Populations as wide as their printed limits allow: real parts use the guarantee, not the typical figure (those of
-    the paper are 2.4 to 3.3 % off, where 1 % is typical and 10 % guaranteed).
+    """Return the populations widened to their printed limits: real parts use the guaranteed range and not the typical
+    figure (those of the paper are off by 2.4 to 3.3 %, where 1 % is typical and 10 % guaranteed).
     """
     return tuple({key: _wide(figure) for key, figure in recipe.items()} for recipe in recipes)
 
@@ -281,8 +288,8 @@ def _usual(header: SensorHeader) -> dict[str, Recipe]:
 
 
 def _turn_on(header: SensorHeader) -> Recipe:
-    """Return a population of scatters between 0 and the largest usual one, nearly uniform; empty
-    where it is not known.
+    """Return a nearly uniform population of turn-on scatters between 0 and the largest usual one; empty if that is not
+    known.
     """
     half = turn_on_rms(header) / 2
     return {f"rms_{header.unit}": Spread(mean=half, sigma=half, limit=half)} if half else {}

@@ -1,9 +1,9 @@
-"""Temperature of a room that nobody recorded: it drifts and has draughts, and biases follow it.
+"""Random variation of a room temperature that was not recorded: it drifts and has draughts, and biases follow it.
 
 A log without a reference temperature, a barometer or a useful thermometer is simulated at a constant temperature. The
-bias of a part changes by half a mg or some hundredths of a dps per degC (BMA-115, L3G-71), more in a tenth of a degree
-than the mean of a hundred seconds is uncertain by its noise. Each replicate of such a log therefore has a course of its
-own: a sum of waves with random phases, whose size and periods are drawn.
+bias of a part changes by half a mg or some hundredths of a dps per degC (BMA-115, L3G-71). Within a tenth of a degree
+this exceeds the standard error of the mean over a hundred seconds. Each replicate of a log without a recorded
+temperature therefore has its own variation of temperature: a sum of waves with random phases, sizes and periods.
 """
 
 from __future__ import annotations
@@ -18,23 +18,25 @@ from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
 from imuarray.simulate.streams import Streams
 
 ROOM_DEGC = (0.02, 0.5)
-"""Least and largest usual root mean square of the course, log-uniform: a closed box in a quiet room, and a room with an
-open door.
+"""Least and largest usual root mean square of the variation, in degC, drawn log-uniformly: a closed box in a quiet
+room, and a room with an open door.
 """
 
 HEAT_DEGC = (2.0, 20.0)
-"""The same of a box that is heated on purpose."""
+"""The same for a box that is heated on purpose."""
 
 PERIODS_S = (20.0, 1800.0)
-"""Shortest and longest period of a wave, log-uniform: what the wall of a box lets through, the cycle of a heating."""
+"""Shortest and longest period of a wave, in s, drawn log-uniformly: the shortest that the wall of a box does not damp,
+and the cycle of a heating.
+"""
 
 WAVES = 4
 
 
 @dataclass(frozen=True)
 class RoomTemperature(MotionVariant):
-    """A motion in a room whose temperature is that of `motion` plus waves of `amplitude_degc`, `period_s` and
-    `phase_rad`.
+    """A motion in a room whose temperature is that of `motion` plus sine waves of `amplitude_degc` with the periods
+    `period_s` and phases `phase_rad`.
     """
 
     amplitude_degc: float
@@ -42,7 +44,7 @@ class RoomTemperature(MotionVariant):
     phase_rad: tuple[float, ...]
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return what the box feels at times (n,) in this room."""
+        """Return the stimuli of the box at times (n,), with the temperature of this room."""
         felt = self.motion.felt(time_ns)
         return replace(felt, temperature_degc=felt.temperature_degc + self._wander_degc(np.asarray(time_ns)))
 
@@ -58,8 +60,8 @@ class RoomTemperature(MotionVariant):
 def draw_room_temperature(
     motion: Motion, streams: Streams, log: int, usual_degc: tuple[float, float] = ROOM_DEGC
 ) -> RoomTemperature:
-    """Draw the course of temperature around the box in log number `log` of a replicate, with a root mean square within
-    `usual_degc`.
+    """Draw the variation of the temperature around the box in log number `log` of a replicate, with a root mean square
+    within `usual_degc`.
     """
     stream = streams.of_unit("", "room_temperature", f"log {log}")
     rms_degc = float(np.exp(stream.uniform(*np.log(usual_degc))))

@@ -1,19 +1,20 @@
-"""Delays of the chips' own filters, which show where sensors with different cutoffs follow one motion.
+"""Delays of the chips' own filters, which are measured when sensors with different cutoffs follow the same motion.
 
-A low-pass filter of two poles with the configured cutoff f delays the signal by 1 / (sqrt(2) pi f). No data sheet
-prints the order of the filter or the tolerance of its cutoff, and some print a cutoff that is that of the noise alone:
-the ratio of the delay to this figure, between 0 and `MOST_RATIO`, is a nuisance parameter that sensors of one quantity
-have in common. A sensor that is late by another ratio has another cause. A delay that the log states is that of the
-data sheet: it is simulated as it is, and is no parameter.
+A two-pole low-pass filter with the configured cutoff f delays the signal by 1 / (sqrt(2) pi f). No data sheet prints
+the order of the filter or the tolerance of its cutoff, and some print only the bandwidth of the noise. The ratio of the
+delay to this figure, between 0 and `MOST_RATIO`, is a nuisance parameter that is common to the sensors of one quantity.
+If a sensor has another ratio, its delay has another cause. A delay that the log states is that of the data sheet; it is
+simulated as stated and is not a parameter.
 
-A chip that decimates delays its readings by some of its own periods besides, all of its units alike and by how many no
-data sheet prints: up to `MOST_PERIODS` of them are a nuisance parameter of each kind of chip that another kind, or a
-track, is compared with. A unit that is late besides others of its kind does not count in this: the fault is its own.
+A chip that decimates also delays its readings by several of its own periods. The number of periods is the same for all
+units of a chip type and is not printed by any data sheet. Up to `MOST_PERIODS` of them are a nuisance parameter of each
+chip type that is compared with another type or with a track. A unit that is later than the others of its type is left
+out of this fit, since the fault is its own.
 
-Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
-period of the chip, which is another nuisance parameter of each such sensor. So may the times of sensors that are
-compared with the track of an instrument, by a period of the rows and all of a quantity alike: the clocks of two
-instruments differ.
+The recorder computes the times of rows from a queue in the chip from the times of its polls. These may be wrong by one
+period of the chip, which is another nuisance parameter for each sensor with a queue. The times of sensors that are
+compared with the track of an instrument may also be wrong, by one period of the rows and equally for all sensors of a
+quantity, since the clocks of two instruments differ.
 """
 
 from __future__ import annotations
@@ -35,30 +36,36 @@ from imuarray.simulate.effects.bandwidth import two_pole_cutoff_hz
 from imuarray.simulate.model import noise_bandwidth_hz
 
 _PRIOR = 1.0
-"""Standard deviations of a parameter, in those of its bound: parameters that the motion does not determine are 0."""
+"""Standard deviation of the prior of a parameter, as a multiple of its bound: parameters that the motion does not
+determine are 0.
+"""
 
 MOST_RATIO = 1.5
-"""Largest ratio of the delay to that of two poles at the configured cutoff: three poles, or a cutoff a third lower."""
+"""Largest ratio of the delay to that of two poles at the configured cutoff: that of three poles, or of a cutoff that is
+lower by a third.
+"""
 
 MOST_PERIODS = 2.5
-"""Longest usual delay of a decimation filter, in periods of the chip's data rate: a symmetric filter of four periods
-with some of a poll's.
+"""Longest usual delay of a decimation filter, in periods of the chip's data rate: that of a symmetric filter of four
+periods, with a margin for the polls.
 """
 
 _LEAST_ODD_PERIODS, _LEAST_ODD_SQUARES = 0.5, 25.0
-"""Delay beyond that of other units of its kind, in periods of its data rate, from which on a unit is left out of the
-fit of their delay, and the least decrease of the sum of squares: five standard deviations.
+"""Least delay relative to other units of the same chip type, in periods of the data rate, at which a unit is left out
+of the fit of their delay, and the least decrease of the sum of squares that this must give: five standard deviations.
 """
 
 _LEAST_CHANGE_S, _SLOPES = 1e-5, (0.5, 5.0)
-"""Change of a delay that tells by how much more of it is seen, and the least and the most that is believed."""
+"""Least expected change of a delay, in s, from which the ratio of the measured to the expected change is computed, and
+the least and the largest ratio that is used.
+"""
 
 _LEAST_S = 1e-7
-"""A shorter delay in the filter is none: times are known to a microsecond at best."""
+"""Least delay of a filter, in s; a shorter one is set to 0, since times are known to a microsecond at best."""
 
 
 class SignalDelay(NamedTuple):
-    """Delay of a sensor's signal in its filter, and how much older its readings are than their times, both in s."""
+    """Delay of a sensor's signal in its filter, and the age of its readings at their time stamps, both in s."""
 
     filter_s: float = 0.0
     stamp_s: float = 0.0
@@ -67,28 +74,29 @@ class SignalDelay(NamedTuple):
 NO_DELAY = SignalDelay()
 
 SignalDelays = Mapping[str, SignalDelay]
-"""By sensor."""
+"""Delays by sensor."""
 
 DelayTrial = tuple[SignalDelays, Sequence[Campaign]]
-"""Delays, and replicates simulated with them."""
+"""Delays, and the replicates that were simulated with them."""
 
 
 def stated_delay(header: SensorHeader) -> SignalDelay:
-    """Return the delay that the log states for the sensor's filter; none if it states none."""
+    """Return the delay that the log states for the sensor's filter; 0 if it states none."""
     return SignalDelay(stamp_s=(header.delay_ns or 0) * 1e-9)
 
 
 def fit_signal_delays(
     campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str], trials: Sequence[DelayTrial]
 ) -> dict[str, SignalDelay]:
-    """Delays of the sensors by the phases in which the box moves; `queued` sensors have rows from a queue.
+    """Return the delays of the sensors from the phases in which the box moves; `queued` sensors have rows from a queue.
 
-    A Gauss-Newton step from the last of the `trials`: least squares of the delays behind the other sensors of the
-    quantity, or the track, less the median of those of the replicates. A delay by which the replicates differ, such as
-    that of an axis that hardly follows a turn, counts the less the more it scatters. A motion that is fast beside the
-    windows shows more of a delay than there is: by how much the first and the last trial tell, whose delays differ
-    most. If an earlier trial is nearer to the recording than the last, its delays are returned: a motion that is too
-    fast for the rows has no slope that holds for a whole step. Empty without such phases.
+    One Gauss-Newton step from the last of the `trials`: a least-squares fit to the delays relative to the other sensors
+    of the quantity, or to the track, less the medians of these delays in the replicates. Delays that scatter between
+    the replicates, for example those of an axis with hardly any motion, have less weight. If a motion is fast compared
+    with the windows, the measured delay is larger than the true one; the ratio is estimated from the first and the last
+    trial, whose delays differ most. If an earlier trial is nearer to the recording than the last one, the delays of the
+    nearest trial are returned, since with a motion that is too fast for the rows the ratio does not hold for a whole
+    step. Empty if no phase determines a delay.
     """
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
@@ -110,7 +118,7 @@ def fit_signal_delays(
 def _step(
     problem: _Problem, headers: Mapping[str, SensorHeader], usual: Sequence[_LateStamps], late: Sequence[_LateStamps]
 ) -> SignalDelays:
-    """Return the delays of sensors of one quantity by the solution of a problem."""
+    """Return the delays of the sensors of one quantity from the solution of a problem."""
     parameters = list(range(1 + len(usual)))
     fits = [_solve(problem, parameters)]
     for place, odd in enumerate(late[len(usual) :], start=1 + len(usual)):
@@ -121,7 +129,7 @@ def _step(
     ratio, *offsets_s = min(fits, key=lambda fit: fit.squares).parameters.tolist()
     delays = {}
     for name, header in headers.items():
-        pairs = zip(offsets_s, usual, strict=False)  # what an odd unit is late by besides is no usual delay
+        pairs = zip(offsets_s, usual, strict=False)  # the extra delay of an odd unit is not a usual delay
         late_s = sum(value_s for value_s, stamps in pairs if name in stamps.sensors)
         filter_s = _truncate(ratio * _nominal_delay_s(header))
         delays[name] = SignalDelay(filter_s, stated_delay(header).stamp_s + late_s)
@@ -129,8 +137,8 @@ def _step(
 
 
 class _Problem(NamedTuple):
-    """Delays (n,) that are to be explained, in s, with their information, by parameters (p,): the design (n, p), and
-    the least and the most of each.
+    """Least-squares problem: delays `behind_s` (n,) in s with their `information` (n,) in s^-2, the `design` (n, p) of
+    p parameters, and the `least` and the largest value (`most`) of each parameter (p,).
     """
 
     behind_s: Floats
@@ -141,15 +149,15 @@ class _Problem(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """Parameters (p,), and the sum of squares that they leave, in squared standard deviations."""
+    """Parameters (p,), and the sum of squared residuals, including the prior, in squared standard deviations."""
 
     parameters: Floats
     squares: float
 
 
 class _SimulatedDelays(NamedTuple):
-    """A trial: its delays, the parameters (p,) that make them, and the median (n,) in s of the delays that are seen in
-    its replicates.
+    """A trial: its delays, the parameters (p,) that give these delays, and the median (n,), in s, of the delays that
+    are measured in its replicates.
     """
 
     delays: SignalDelays
@@ -163,8 +171,9 @@ def _compare(
     late: Sequence[_LateStamps],
     trials: Sequence[DelayTrial],
 ) -> tuple[_Delays, list[_SimulatedDelays]]:
-    """Return the delays of sensors of one quantity in the recording, with the information that the scatter of the
-    replicates leaves, and the trials whose replicates show as many; no trials where no motion shows a delay.
+    """Return the delays of the sensors of one quantity in the recording, with their information reduced by the scatter
+    of the replicates, and the trials with replicates that have the same number of delays; no trials if no motion
+    determines a delay.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     observed = _rows(_crosses(campaign), headers, nominal_s, late)
@@ -183,7 +192,7 @@ def _compare(
 
 
 def _problem(observed: _Delays, simulated: Sequence[_SimulatedDelays], late: Sequence[_LateStamps]) -> _Problem:
-    """Return the problem of a step from the last trial. Its parameters are the ratio of the filters' delays, and the
+    """Return the problem of a step from the last trial. Its parameters are the ratio of the filter delays and the
     offset of each of the `late` stamps.
     """
     first, last = simulated[0], simulated[-1]
@@ -203,7 +212,7 @@ def _parameters(
     nominal_s: Mapping[str, float],
     late: Sequence[_LateStamps],
 ) -> Floats:
-    """Return the parameters (p,) that make these delays of sensors of one quantity."""
+    """Return the parameters (p,) that give the delays `simulated` of the sensors of one quantity."""
     ratios = [simulated[name].filter_s / nominal_s[name] for name in headers if nominal_s[name] > 0]
     stamps_s = [simulated[name].stamp_s - stated_delay(header).stamp_s for name, header in headers.items()]
     usual = [stamps for stamps in late if not stamps.is_odd]
@@ -218,8 +227,8 @@ def _truncate(delay_s: float) -> float:
 
 
 def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str]) -> bool:
-    """Return whether the box moves, and sensors of one quantity are of several chips, have filters that delay
-    differently or a queue, or are compared with a track.
+    """Return whether the box moves, and either sensors of one quantity differ in chip type or nominal delay, or a
+    sensor has a queue or is compared with a track.
     """
     by_quantity: dict[str, set[tuple[str, float]]] = {}
     for header in headers.values():
@@ -230,7 +239,9 @@ def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader
 
 
 def _nominal_delay_s(header: SensorHeader) -> float:
-    """Delay at the configured cutoff; 0 where none is known, and where the log states the delay."""
+    """Return the delay of two poles at the configured cutoff, in s; 0 if the cutoff is unknown, or if the log states
+    the delay.
+    """
     if header.delay_ns:
         return 0.0
     cutoff_hz = noise_bandwidth_hz(header)
@@ -238,8 +249,9 @@ def _nominal_delay_s(header: SensorHeader) -> float:
 
 
 class _LateStamps(NamedTuple):
-    """Sensors whose readings may be older than their times, all by the same amount, and by how much in s. One that
-    `is_odd` is late besides what others of its kind are: a fault, not a nuisance; `period_s` is that of its data rate.
+    """Sensors whose readings may all be older than their time stamps by the same amount, between `least_s` and
+    `most_s`. If `is_odd`, it is a single unit that is later than others of its type, which is a fault and not a
+    nuisance quantity; `period_s` is the period of its data rate.
     """
 
     sensors: frozenset[str]
@@ -252,8 +264,8 @@ class _LateStamps(NamedTuple):
 def _late_stamps(
     crosses: Sequence[Cross], headers: Mapping[str, SensorHeader], queued: Collection[str]
 ) -> list[_LateStamps]:
-    """Return which of these sensors' times may be off: those of all that follow a track, of each with a queue, and of
-    the units of each chip.
+    """Return the groups of these sensors whose time stamps may be wrong: all sensors that are compared with a track,
+    each sensor with a queue, and the units of each chip type.
     """
     tracked = _tracked(crosses)
     common = frozenset(tracked) & headers.keys()
@@ -276,8 +288,8 @@ def _late_stamps(
 
 
 def _odd_units(headers: Mapping[str, SensorHeader], late: Sequence[_LateStamps]) -> list[_LateStamps]:
-    """Return each unit that may be late besides those with which it has a delay in common. That it is early is rare: a
-    reading may be old when it is stamped, none is made after its stamp.
+    """Return each unit that may be later than those with which it has a delay in common. Early units are not
+    considered: a reading can be old when it is stamped, but it is never taken after its stamp.
     """
     shared = {name for stamps in late if len(stamps.sensors) > 1 for name in stamps.sensors}
     return [
@@ -288,7 +300,9 @@ def _odd_units(headers: Mapping[str, SensorHeader], late: Sequence[_LateStamps])
 
 
 def _tracked(crosses: Sequence[Cross]) -> dict[str, float]:
-    """Return the sensors that are compared with a track, each with the period of its rows in s, or a little more."""
+    """Return the sensors that are compared with a track, each with half of a window in s, which is at least the period
+    of its rows.
+    """
     return {name: cross.window_s / 2 for cross in crosses for name in cross.tracked}
 
 
@@ -298,8 +312,9 @@ def _crosses(campaign: Campaign) -> list[Cross]:
 
 
 class _Delays(NamedTuple):
-    """Delays (n,) of sensors' axes behind the others in s, their information, and what they are for each parameter
-    (n, p): the ratio, and stamps that are late; nan where there is none.
+    """Delays (n,) of sensors' axes relative to the others in s, their information (n,) in s^-2, and their derivatives
+    (n, p) with respect to the parameters, which are the ratio and the offsets of late stamps; nan if a delay is not
+    determined.
     """
 
     delay_s: Floats
@@ -331,8 +346,8 @@ def _rows(
 
 
 def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> Floats:
-    """Return (n,) change of the delays seen between two trials, each parameters (p,) and delays (n,), over the change
-    that the design (n, p) expects; 1 where that is none.
+    """Return the ratio (n,) of the change of measured delays between two trials, each with parameters (p,) and delays
+    (n,), to the change that the design (n, p) predicts; 1 where the predicted change is negligible.
     """
     expected_s, change_s = design @ (after[0] - before[0]), after[1] - before[1]
     slopes = np.divide(change_s, expected_s, out=np.ones(len(design)), where=np.abs(expected_s) > _LEAST_CHANGE_S)
@@ -340,7 +355,9 @@ def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, 
 
 
 def _solve(problem: _Problem, chosen: Sequence[int]) -> _Fit:
-    """Return the `chosen` parameters, within their bounds, that explain the delays; 0 where nothing tells them."""
+    """Return the fit of the `chosen` parameters within their bounds to the delays; a parameter that no delay determines
+    is 0.
+    """
     known = np.isfinite(problem.behind_s) & np.isfinite(problem.information)
     weight = np.sqrt(problem.information[known])
     least, most = problem.least[chosen], problem.most[chosen]

@@ -16,8 +16,9 @@ class IntervalEstimate:
 
 @dataclass(frozen=True)
 class Use:
-    """A figure of use of a sensor, or of the array (`sensor` ""): `name` such as "heading error after coasting 60 s",
-    in `unit`; in the recording and in simulations before and after the causes were added.
+    """A figure of use of a sensor, or of the array (`sensor` ""): its `name`, for example "heading error after coasting
+    60 s", and its `unit`; its value in the recording (`real`), and in simulations `before` and `after` the causes were
+    added.
     """
 
     name: str

@@ -1,11 +1,11 @@
 """Parallel execution of one job for many items: in threads, in processes, or on other machines.
 
-A job's fixed part (the recording and its model) is large compared with an item, which is a number. It is sent with
-every item as bytes, which a process decodes only if it does not have the job yet: files opened or results computed for
-the first item serve for the others.
+The fixed part of a job (the recording and its model) is large compared with an item, which is a number. It is sent as
+bytes with every item, and a process decodes the bytes only if it does not have the job yet, so that files opened and
+results computed for the first item are reused for the others.
 
-Matrices are small here: threads of the linear algebra library (BLAS) would gain nothing, and several processes with a
-thread for each core would wait for each other. Processes started here have one thread each.
+Matrices are small here: several threads of the linear algebra library (BLAS) would not make them faster, and several
+processes with one thread per core would wait for each other. Processes started here therefore use one thread each.
 """
 
 from __future__ import annotations
@@ -33,27 +33,29 @@ Bar = Callable[[int], AbstractContextManager[Callable[[int], None]]]
 _ONE_THREAD: Mapping[str, str] = MappingProxyType(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
 )
-"""Variables that the usual libraries read once, when numpy is imported: a process has to start with them."""
+"""Environment variables for one thread. The usual libraries read them once, when numpy is imported, so a process has to
+start with them.
+"""
 
 _STARTING = Lock()
 _LOOK_S = 2.0
 
 _LATEST: dict[str, Callable[[Any], Any]] = {}
-"""The last job that this process received, by its name."""
+"""The latest job that this process received, by its name."""
 
 
 def processes(workers: int) -> Pool:
     """Return a pool of processes for `runner`, started on demand, with one BLAS thread each; a context manager.
 
-    Each imports the program's main module anew (start method "spawn"), which must only define things then. An exception
-    in the manager's block, KeyboardInterrupt too, ends them at once; they ignore Ctrl-C themselves. ValueError for
-    fewer than one.
+    Each process imports the program's main module again (start method "spawn"), so that module must have no side
+    effects when imported. An exception in the manager's block, including KeyboardInterrupt, ends the processes at once;
+    they ignore Ctrl-C themselves. ValueError for fewer than one worker.
     """
     return Pool(workers, _Context(), _watch, (os.getpid(),))
 
 
 class Pool(ProcessPoolExecutor):
-    """Processes that an exception in the manager's block ends at once."""
+    """Pool whose processes are ended at once by an exception in the manager's block."""
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         if kind is None:
@@ -62,7 +64,7 @@ class Pool(ProcessPoolExecutor):
             self.terminate()
 
     def terminate(self) -> None:
-        """Ends all processes, whatever they work on, and waits for them; their futures fail."""
+        """End all processes even if they are working, and wait for them; their futures fail."""
         started = list((self._processes or {}).values())
         manager: Any = self._executor_manager_thread
         self.shutdown(wait=False, cancel_futures=True)
@@ -75,7 +77,9 @@ class Pool(ProcessPoolExecutor):
 
 
 def _watch(parent: int) -> None:
-    """Ends a process when its parent is gone, as nobody would receive its results; sets up its heap."""
+    """Initialise a process: set up its heap, ignore Ctrl-C, and end it when its parent has ended, since its results
+    would not be received.
+    """
     keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
@@ -90,10 +94,10 @@ def _watch(parent: int) -> None:
 
 
 class Run(Protocol):
-    """Calls a function of something fixed and one item for each item, possibly in parallel."""
+    """Callable that calls a job with a fixed argument and each item, possibly in parallel."""
 
     def __call__(self, job: Callable[[Any, Any], Any], items: Sequence[Any]) -> list[Any]:
-        """The results, in the items' order."""
+        """Return the results in the order of the items."""
 
 
 def no_bar(length: int) -> AbstractContextManager[Callable[[int], None]]:
@@ -102,11 +106,10 @@ def no_bar(length: int) -> AbstractContextManager[Callable[[int], None]]:
 
 
 def runner(fixed: object, executor: Executor | None = None, bar: Bar = no_bar) -> Run:
-    """Return a caller of module functions with `fixed`, which every process receives once, and one item after the
-    other.
+    """Return a callable that calls a module function with `fixed`, which every process decodes once, and each item.
 
-    Results come in the items' order. `bar` makes, for a number of items, a function that is called with the number
-    done.
+    Results are in the order of the items. `bar` returns, for a number of items, a context manager whose function is
+    called with the number of items done.
     """
     sent = _Job(partial(_apply, fixed))
 
@@ -128,7 +131,7 @@ def _apply(fixed: Any, request: tuple[Callable[[Any, Any], Any], Any]) -> Any:
 
 
 class _Job(Generic[Item, Result]):
-    """A job that a process keeps."""
+    """A job that a process caches by its name."""
 
     def __init__(self, job: Callable[[Item], Result]) -> None:
         self._job, self._name = job, uuid4().hex
@@ -153,7 +156,7 @@ def _unpack(name: str, packed: bytes) -> Callable[[Any], Any]:
 
 
 class _Process(SpawnProcess):
-    """Starts with `_ONE_THREAD` in its environment; Ctrl-C is its parent's business from the first moment on."""
+    """Process that starts with `_ONE_THREAD` in its environment and with Ctrl-C blocked; its parent handles Ctrl-C."""
 
     def start(self) -> None:
         with _STARTING, _environment(_ONE_THREAD), _without_interrupts():
@@ -168,7 +171,7 @@ class _Context(SpawnContext):
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """SIGINT waits until afterwards; a process that is started meanwhile has it blocked. Windows can't."""
+    """Block SIGINT during the context, also for processes that are started in it; no effect on Windows."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -181,7 +184,7 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """`variables` set in this process's environment, and afterwards as they were."""
+    """Set `variables` in the environment of this process during the context, and restore them afterwards."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
