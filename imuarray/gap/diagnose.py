@@ -191,8 +191,8 @@ def diagnose(  # noqa: PLR0913
     progress: Progress = lambda stage: None,
     bar: Bar = no_bar,
 ) -> Diagnosis:
-    """Find where recordings of an array differ from what the simulator makes of them, the causes, and the share of the
-    gap that they close.
+    """Find the differences between recordings of an array and those of the simulator, their causes, and the share of
+    the gap that the causes close.
 
     `logs` are paths, or open logs, which stay open (one, or several), of any experiments (static, tumble, heating,
     turn-on, motion), all of one array. `model` is the simulator's model: a model, its file, or the name of one that is

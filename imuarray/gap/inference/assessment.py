@@ -134,7 +134,7 @@ class Localisation:
 
     @property
     def p(self) -> float:
-        """The p-value of the whole array, without a gap."""
+        """The p-value of the hypothesis that there is no gap."""
         return self.root.p
 
     @property

@@ -274,7 +274,7 @@ def guess_quantisation(evidence: Evidence) -> Iterator[Hypothesis]:
         if _is_dead(bit, merged, codes):
             yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
     short = {carry: place for carry in _STEPS[1:] if (place := _before_a_carry(carry, merged, codes))[0]}
-    if short:  # a chip without all but two of every 16 codes also lacks two of every four
+    if short:  # if all but two of 16 codes are missing, two of every four are missing too
         carry = max(short, key=lambda carry: short[carry][0] / carry)
         missing, at = map(float, short[carry])
         coarse = Quantisation(carry_lsb=float(carry), missing_lsb=missing, carry_at_lsb=at)
@@ -336,9 +336,9 @@ def _usual_span(codes: Histogram) -> tuple[int, int]:
 
 
 def _before_a_carry(carry: int, merged: Histogram, each: Sequence[Histogram]) -> tuple[int, int]:
-    """Return how many codes are missing before every carry, except the code of the carry minus their number, and how
-    far they are from a multiple of `carry`; (0, 0) if none are missing. Carries are at multiples, unless an offset
-    moved them.
+    """Return how many codes before every carry are missing, with the code of the carry in their place, and the distance
+    of the carries from multiples of `carry`; (0, 0) if none are missing. Carries are at multiples, unless an offset
+    shifts them.
     """
     counts = np.bincount(merged.codes % carry, weights=merged.counts, minlength=carry)
     spans = np.array([_usual_span(codes) for codes in each])

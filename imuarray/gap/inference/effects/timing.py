@@ -74,7 +74,7 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
 
 
 def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
-    """Yield the phases in which the box moves, with the cross products of the sensor and the others."""
+    """Yield the phases in which the box moves, with the mean products of the readings of the sensors in them."""
     for phase in evidence.phases:
         cross = None if phase.is_still else phase.cross
         if cross is not None and any(item.name == evidence.header.name for item in cross.sensors):
@@ -180,8 +180,8 @@ def guess_clock_error(evidence: Evidence) -> Iterator[Hypothesis]:
 def _clock_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest an error of the host's clock, by which all sensors lag alike, polled or not.
 
-    Lags are those of whole logs. A clock error also shows in a single phase, whose motion then begins or ends too soon:
-    in either part of the data, or in one of them.
+    Lags are those of whole logs. The statistics show a clock error in phases whose motion begins or ends too early.
+    These may lie in both parts of the data or in one, so the hypothesis needs both parts.
     """
     host_lags = [lag for host in evidence.hosts for lag in host.lags]
     if len(host_lags) < _FEWEST_LAGS:
@@ -282,7 +282,7 @@ def guess_jitter(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _jitter_of_host(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the rows for which the host waits, in every sensor, before the transfer or after it."""
+    """Suggest the waits of the host, before or after a transfer, as the jitter of every sensor."""
     waits = sum(host.waits for host in evidence.hosts)
     if not waits and not any(host.missed for host in evidence.hosts):
         return
