@@ -149,7 +149,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name, or a former one, on first use."""
+    """Import a public name, or a former public name, on first use."""
     return public_name(__name__, _PUBLIC, _FORMER_NAMES.get(name, name))
 
 

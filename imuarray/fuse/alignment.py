@@ -109,12 +109,12 @@ _SILENT = 1.75
 _SAME_PERIOD = 0.25
 """Largest relative difference between the periods of sensors that are read once per frame."""
 _TIE = 0.001
-"""Share of a period by which a sensor must be nearer to the middle of the frame to precede an earlier one."""
+"""Share of a period by which a sensor must be nearer to the middle of the frame to be preferred to an earlier one."""
 
 
 @dataclass(frozen=True)
 class FrameGrid:
-    """Times of frames: `order` are the numbers of the sensors whose times make the grid, the best first; `period_ns` is
+    """Times of frames: `order` are the numbers of the sensors that determine the times, the best first; `period_ns` is
     the time between frames.
     """
 
@@ -223,7 +223,7 @@ def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats
     for run in _stretches(known, rows, gap_ns):
         first, last = int(np.searchsorted(at, known[run][0])), int(np.searchsorted(at, known[run][-1], "right"))
         inside = at[first:last]
-        if _are_rows(known[run], inside[:_SAMPLE]) and _are_rows(known[run], inside):  # usually the first are not
+        if _are_rows(known[run], inside[:_SAMPLE]) and _are_rows(known[run], inside):  # the sample usually differs
             result[first:last] = rows[run.start + np.searchsorted(known[run], inside)]
             continue
         spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
@@ -232,7 +232,7 @@ def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats
 
 
 _SAMPLE = 8
-"""Number of times of which it is seen whether they are those of rows before all of them are compared."""
+"""Number of times that are compared with those of the rows first; all times are compared only if these agree."""
 
 
 def _are_rows(known: Times, at: Times) -> bool:
@@ -545,13 +545,15 @@ _OWN_CURVATURE = 6 * (np.sqrt(3) - 1)
 _SLOPE_POWER = (9 * (2 / np.sqrt(3) - 1), 2.06)
 _CURVATURE_POWER = 36.0
 _LATER = 6.9
-"""Weights of a spline's slope s' and curvature s'' at a knot, in periods, for white noise at the knots. For regular
-knots: minus the own weight of s'', and the sums of squares of the weights of s' and s''. To first order in the
-differences of the steps after and before the knot, and of the steps next to these: the own weight of s' and the sum of
-the products of both. The sum of squares of s' grows with the square of its own weight. The difference of the sums of
-squares after and before the knot, relative to both, is the hyperbolic tangent of minus the own weight of s' and this
-multiple of the weight of s''. They were computed by small changes of the knots of SciPy's spline; the tests compare
-them with it.
+"""Weights of a spline's slope s' and curvature s'' at a knot, in periods, for white noise at the knots.
+
+For regular knots: `_OWN_CURVATURE` is minus the weight of the knot's own value in s'', and the first element of
+`_SLOPE_POWER` and `_CURVATURE_POWER` are the sums of squares of all weights in s' and in s''. For irregular knots, to
+first order in the difference of the steps after and before the knot, and in that of the steps next to these: `_OWN`
+yields the own weight in s', `_ACROSS` the sum of the products of the weights in s' and s''. The sum of squares in s'
+increases by the second element of `_SLOPE_POWER` times the square of the own weight. In a slope s' - c s'', the
+difference of the sums of squares after and before the knot, relative to their sum, is ``tanh(-own weight in s' -
+_LATER c)``. The values were computed by small changes of the knots of SciPy's spline; the tests compare them with it.
 """
 _SPLINE_WEIGHTS = np.array([*_OWN, *_ACROSS, _OWN_CURVATURE, *_SLOPE_POWER, _CURVATURE_POWER, _LATER, _SECOND_ORDER])
 """All these weights in the order of the compiled code."""

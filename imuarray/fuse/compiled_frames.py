@@ -46,19 +46,19 @@ class Readings(NamedTuple):
 
     @classmethod
     def empty(cls, sensors: int, frames: int) -> Readings:
-        """Return the readings of so many sensors, not yet set."""
+        """Return uninitialised readings of `sensors` sensors in `frames` frames."""
         shape = sensors, frames
         return cls(np.empty((3 * sensors, frames)), np.empty(shape, bool), np.empty(shape, bool), np.empty(shape))
 
     def of(self, number: int) -> Readings:
-        """Return the readings of one of the sensors, which share their memory."""
+        """Return the readings of one of the sensors; they share memory with those of all."""
         rows = slice(3 * number, 3 * number + 3)
         return Readings(self.values[rows], self.valid[number], self.stale[number], self.late_s[number])
 
 
 class Tolerance(NamedTuple):
-    """How near to its frame a reading is, its age, and the flags of a row: `special` ones, which the compiled code does
-    not handle, `doubtful` ones, and `stale`.
+    """Limits and flags of readings: half a frame and the age of a reading in ns; the flags of a row that the compiled
+    code does not handle (`special`), that make a reading not valid (`doubtful`), and `stale`.
     """
 
     half_ns: int

@@ -207,8 +207,8 @@ _MOST_SEGMENTS = 64
 
 
 class _Segment(NamedTuple):
-    """One segment: its end, the mean time of its rows (s), its mean (degC), the temperature `behind` each lag (k,) at
-    that time, and the trend (degC/s) after it.
+    """One segment: its end, the mean time of its rows (s), its mean (degC), the temperatures after the lags (k,) at
+    that time (`behind`), and the trend (degC/s) after it.
     """
 
     end_s: float

@@ -91,7 +91,7 @@ def whitened(errors: Floats, covariances: Floats) -> Floats:
 
 
 def _finite(errors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-    """Return the rows that are finite in both; a sum that is finite shows at once that all are."""
+    """Return the rows that are finite in both arrays; a finite sum shows quickly that all rows are."""
     with np.errstate(invalid="ignore"):
         if np.isfinite(errors.sum() + covariances.sum()):
             return errors, covariances
@@ -165,9 +165,9 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
 
 
 def _lagged_products_at_once(white: Floats, last: int, size: int) -> Floats:
-    """Return the products of the lags from 1 to `last` by a spectrum of `size` values of each column of `white` (n, 3),
-    n + `last` or more, so that no product of distant rows is added. The correlation of one axis with a later one has
-    that of the later with the earlier one at its negative lags.
+    """Return the products of the lags from 1 to `last` by a spectrum of `size` values of each column of `white` (n, 3).
+    `size` is n + `last` or more, so that no product of rows further apart is added. The negative lags of the
+    correlation of one axis with another are the positive lags of the correlation of the other axis with the first.
     """
     from scipy.fft import irfft  # transforms several columns at once faster than one by one
 

@@ -368,8 +368,8 @@ class MotionSpool:
 
 class ErrorFrameSpool:
     """The errors (n, 3) of one quantity, and the errors `white` (k, 3) by their covariances (`whitened`), in temporary
-    files, or in files whose names begin with a path; what is asked for is read. Several spools may share a `motion` as
-    long as they have the same frames. A context manager.
+    files, or in files whose names begin with a path; only requested frames are read. Several spools may share a
+    `motion` if they have the same frames. A context manager.
     """
 
     def __init__(self, path: Path | None = None, mode: str = "w+b", *, motion: MotionSpool | None = None) -> None:

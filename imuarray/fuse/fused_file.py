@@ -244,8 +244,8 @@ class StoredEvents:
 
 
 def events_in(file: h5py.File, place: str) -> tuple[FusedEvent, ...]:
-    """Return the events of a file that every column contains: after an interrupted write some columns are longer than
-    others. LogError if they can't be read.
+    """Return the events that are complete in every column of a file: after an interrupted write some columns are longer
+    than others. LogError if they can't be read.
     """
     group = file.get("events")
     if group is None:

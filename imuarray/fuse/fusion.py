@@ -144,7 +144,9 @@ _LARGE_CHANGE = 2 * RESPONSE_CHANGE
 
 
 def _large_changes(calibration: Calibration, before: Calibration) -> dict[float, list[str]]:
-    """Return the names of sensors by a large change of their responses that `before` does not state."""
+    """Return the names of sensors by the change of their responses, for changes that are large and that `before` does
+    not state.
+    """
     names: dict[float, list[str]] = {}
     for name, sensor in calibration.sensors.items():
         change = sensor.response_change

@@ -39,7 +39,7 @@ class ConstantGain:
     """Triads from counts: ``gain @ (counts - bias)``, with the bias subtracted from the triad and not from every count.
 
     `gain` (3, m) in SI per count, `bias` (m,) in counts. `precision` is that of the arithmetic: the error of float32 is
-    about 1e-7 of the largest term, far below the noise of any sensor. Double precision is compiled where it can be.
+    about 1e-7 of the largest term, far below the noise of any sensor. Double precision uses compiled code if installed.
     """
 
     def __init__(self, gain: Floats, bias: Floats, precision: type[np.float32] | type[np.float64] = np.float64) -> None:
@@ -77,12 +77,12 @@ def _pairs(triads: Floats) -> Floats:
 
 
 _FIRST, _SECOND = [0, 1, 2, 3, 5, 10, 15, 6, 7, 11], [0, 4, 8, 12, 5, 10, 15, 9, 13, 14]
-"""Places among the products of (1, X, Y, Z) with each other of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, and of these
-products in the opposite order.
+"""Positions of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ among the 16 products of (1, X, Y, Z) with each other, and positions
+of the same products with the factors exchanged.
 """
 
 _TWICE = np.array([0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
-"""1 for products of two different factors, which occur twice."""
+"""1 for products of two different factors, which occur twice, else 0."""
 
 
 class SlowErrors:
@@ -142,7 +142,8 @@ class AxisNoise:
         correction of delays.
 
         A triad becomes ``gains @ readings - M @ (noise of the slope)``, where M is the gain for readings along `rows`
-        that are as large as the shares of the noise. The frame's own readings are in the slope by the first shares.
+        that are as large as the shares of the noise. The first shares are the weights of the frame's own readings in
+        the slope.
         """
         plain = whole_gain(np.ones(len(self.rows)), self.rows) * self.rms
         if self.delay_noise is None or not np.isfinite(plain).all():
@@ -385,8 +386,8 @@ class FixedWeights:
 
     def __call__(self, frames: Frames) -> Estimate:
         """Solve weighted least squares of the valid axes. A frame that lacks a reading keeps the level of the whole
-        array if its offsets are known: they are removed first, and their own weighted mean is added. The noise of the
-        offsets is that of as many readings as were averaged.
+        array if its offsets are known: they are subtracted first, and their own weighted mean is added. An offset has
+        the noise of a mean of `averaged` readings.
         """
         weights = self.weights[None] if frames.valid.all() else self.weights * frames.valid
         noise = AxisNoise(self.rows, self.noise, frames.delay_noise)

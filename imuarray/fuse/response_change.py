@@ -14,8 +14,8 @@ D (m, 3) are the relative errors of the responses and z the parities, whose nois
 least-squares u. Least squares of z over u and its derivative (which different delays add) yields B D. Its covariance is
 that of the calibration, carried through B, plus ``change^2 B B'`` and that of noise; the mean of ``change^2`` under
 this likelihood and the prior is the estimate (C. M. Bishop, Pattern Recognition and Machine Learning, 2006, section
-3.5). What all sensors have in common is not in z. Accelerometers that are apart from each other differ in rotations:
-of these, only windows in which gyroscopes show rest are used.
+3.5). z contains no error that all sensors share. Accelerometers at different positions measure different forces in a
+rotation: for them, only windows in which gyroscopes show rest are used.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ class _Windows(NamedTuple):
     is_slow: Booleans
 
     def of(self, names: Sequence[str], is_slow: bool) -> Floats:
-        """Return the readings (n, m) of sensors in the windows in which all are sound, and the box is slow if wanted.
-        Accelerometers away from each other differ in rotations.
+        """Return the readings (n, m) of sensors in the windows in which all are sound and, with `is_slow`, the box
+        hardly rotates, because accelerometers at different positions measure different forces in a rotation.
         """
         used = np.all([self.is_sound[name] for name in names], axis=0) & (self.is_slow | (not is_slow))
         return np.asarray(np.concatenate([self.values[name] for name in names], axis=1)[used])
