@@ -1,5 +1,5 @@
-"""The way to each sensor: the segment of the bus that it is on (a multiplexer channel, or a separate bus), its adapter
-and identity, and the order in which a frame visits the segments.
+"""The route to each sensor: its segment of the bus (a multiplexer channel, or a separate bus), its adapter and its
+identity; and the order in which a frame visits the segments.
 
 `connect` identifies and configures every sensor; `SensorRoute` is its driver and the key of its segment.
 
@@ -7,10 +7,11 @@ and identity, and the order in which a frame visits the segments.
 no register address (PCA-02): bit 2 enables, bits 1:0 choose the channel (PCA-03). The new channel is connected from the
 STOP on (PCA-06), so that selecting is a transaction of its own. The chip has no reset (PCA-09).
 
-`AdapterState` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long one
-of its clocks takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row without an
-answer in between are attributed to the bus and not to a sensor; the bus is then tried at growing intervals until
-something answers. An unplugged adapter ends every transaction with ENODEV and is looked for at a constant rate.
+`AdapterState` is the state of an I2C adapter in the poll loop: whether it hangs, whether it is plugged in, and the
+duration of one of its clocks. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row
+without an answer in between are attributed to the bus and not to a sensor; the bus is then tried at growing intervals
+until a chip answers. With an unplugged adapter every transaction fails with ENODEV, and the adapter is searched for at
+constant intervals.
 
 `Channel` verifies that the selected channel is the one that is connected. A multiplexer that missed its command keeps
 the old channel connected, and chips that share an address would answer for each other. The readings of a chip with a
@@ -67,7 +68,7 @@ class Pca9544a:
         """The selected channel; None if it is not known."""
 
     def select(self, channel: int) -> None:
-        """Connect `channel` if it is not connected; OSError when the multiplexer does not answer."""
+        """Select `channel` if it is not selected; OSError if the multiplexer does not answer."""
         if channel == self.selected:
             return
         self.selected = None
@@ -277,14 +278,14 @@ def frames_of(rate_hz: float) -> int:
 
 @dataclass
 class _Check:
-    """A register of a chip that is read back; without a `setting`, the check is for the owner of the chip's address."""
+    """A register of a chip to read back; without a `setting`, the check asks which driver owns the chip's address."""
 
     buffer: SampleBuffer
     setting: Setting | None
     good_rows: int = 0
-    """Rows that were waiting when this register was last right."""
+    """Number of waiting rows when this register was last read back as configured."""
     wrong: int = 0
-    """Wrong reads in a row."""
+    """Number of wrong reads in a row."""
 
 
 class ConfigurationReadback:
@@ -419,15 +420,17 @@ class ConfigurationReadback:
 
 
 HUNG = frozenset({errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY})
-"""The errors of Linux adapters when the bus stays busy (LNX-43, LNX-44, LNX-47)."""
+"""Errors of Linux adapters while the bus is busy (LNX-43, LNX-44, LNX-47)."""
 REMOVED = frozenset({errno.ENODEV})
-"""The errors of a bus whose adapter was unplugged (`imuarray.bus.linux`)."""
+"""Errors of a bus whose adapter was unplugged (`imuarray.bus.linux`)."""
 SEARCH_NS = 250_000_000
-"""The interval between two searches for an adapter that was removed."""
+"""Interval between two searches for a removed adapter, in ns."""
 FIRST_PAUSE_NS = 50_000_000
 LONGEST_PAUSE_NS = 400_000_000
 SLACK_NS = 1_000_000
-"""A reading that takes so much longer than its bits was interrupted, and its time is uncertain by the excess."""
+"""Excess of the duration of a reading over that of its bits, in ns, above which the machine interrupted it; its time is
+uncertain by the excess.
+"""
 
 
 class AdapterState:
@@ -440,7 +443,7 @@ class AdapterState:
         self.removed = False
         self.silent_until_ns = -(1 << 62)
         self.time_outs = 0
-        """Time-outs in a row, without an answer in between."""
+        """Number of time-outs in a row, without an answer in between."""
         self.all_time_outs = 0
         self.clock_ns = 1e9
         self._pause_ns = FIRST_PAUSE_NS
@@ -483,7 +486,7 @@ class AdapterState:
         return ended
 
     def start_of(self, begun_ns: int, ended_ns: int, clocks: int) -> tuple[int, bool]:
-        """Return when a burst of so many clocks, requested and received between these times, was on the wire, and
+        """Return when a burst of `clocks` clocks, requested and received between these times, was on the wire, and
         whether that is certain.
 
         The duration of a clock is that of the quickest burst so far; the rest of the time was spent in the machine. If
@@ -499,8 +502,8 @@ class AdapterState:
 
 
 class Channel:
-    """One channel of a multiplexer, and the witnesses on it that prove that it is connected; `twins` have a twin
-    elsewhere.
+    """One channel of a multiplexer, and the witnesses on it that prove that it is connected; `twins` are its routes
+    that have a twin on another channel.
 
     Witness registers are read in turn, at most `limit` of them, which also checks their configuration. `right_witness`
     is the one that was right last time, `wrong_witness` one that returned a wrong value.
@@ -609,8 +612,8 @@ class BusSegment:
         self._root = bus.mux.bus if isinstance(bus, MuxChannel) else bus
 
     def begin(self) -> int:
-        """Connect the segment before the first reading is timed, and return the time. If that fails, the reading will
-        fail as well and report it.
+        """Connect the segment before the first reading is timed, and return the time. If that fails, the first reading
+        fails as well and reports the error.
         """
         if self._select is not None and self._clock.now_ns() >= self.adapter.silent_until_ns:
             try:

@@ -1,9 +1,9 @@
 """The clocks of the machine, recorded together at intervals; samples are timed by one that never steps.
 
-A single-board computer has no clock that survives a night without power: its wall clock is set some time after it has
-started, and may be set again. Rows of (monotonic, wall) give the wall time of every sample afterwards, and the steps of
-the wall clock. CLOCK_MONOTONIC is slewed with the network's time, CLOCK_MONOTONIC_RAW is not: the quotient of the two
-gives the crystal's error. CLOCK_BOOTTIME includes the time that the machine slept.
+A single-board computer has no clock that runs without power: its wall clock is set some time after the start, and may
+be set again. Rows of (monotonic, wall) determine the wall time of every sample afterwards, and the steps of the wall
+clock. CLOCK_MONOTONIC is slewed with the network's time, CLOCK_MONOTONIC_RAW is not: the ratio of the two gives the
+error of the crystal. CLOCK_BOOTTIME includes the time for which the machine slept.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from imuarray.log.format import ClockRow
 
 PERIOD_NS = 10_000_000_000
 STEP_NS = 10_000_000
-"""Least change of the wall clock relative to the monotonic clock that is an event; slewing changes less in 10 s."""
+"""Least change in ns of the wall clock relative to the monotonic clock that is an event; slewing changes less in 10 s.
+"""
 
 
 ClockReader = Callable[[], tuple[int, int, int, int]]

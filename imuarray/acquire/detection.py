@@ -32,8 +32,8 @@ from imuarray.printable import printable
 
 
 def _identities() -> tuple[tuple[str, tuple[int, ...], Register], ...]:
-    """Return the chips that may be at an address, with the identity register and the value that proves them. Chips with
-    the same identity share an entry.
+    """Return the chips that may be at an address, with the identity register and the value in it that identifies them.
+    Chips with the same identity share an entry.
     """
     names: dict[tuple[tuple[int, ...], Register], list[str]] = {}
     for chip, spec in CHIPS.items():
@@ -70,7 +70,7 @@ class Detection:
     """
     address: int | None = None
     undetermined: bool = False
-    """The self-test could not say whether the chip is good."""
+    """True if the self-test could not determine whether the chip is good."""
     owner: str = ""
     """The kernel driver that owns the address, if there is one; the chip is not addressed then."""
     remark: str = ""
@@ -281,7 +281,7 @@ def _answers(segment: Bus, address: int, register: Register) -> bool:
 _SAME_IDENTITY: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883"), "ak8963 or ak8975": ("ak8963", "ak8975")}
 )
-"""Chips that say the same of themselves, the more common one first; what tells them apart is their self-test."""
+"""Chips with the same identity registers, the more common one first; only their self-tests distinguish them."""
 _REMARKS = {
     "hmc5883 or hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; --self-test fails for one",
     "ak8963 or ak8975": "or ak8975 (of an MPU-9150), with range = 12.29: they identify themselves alike",
@@ -350,7 +350,7 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
 
 _SUFFIXES = MappingProxyType({"specific_force": "acc", "angular_rate": "gyro", "magnetic_field": "mag"})
 _POLLED_HZ = 50.0
-"""Data rate that is proposed for a device whose driver has none: that of the frames."""
+"""Data rate in Hz that is proposed for a device whose driver states none: that of the frames."""
 _DEVICES_HEAD = """\
 # The devices that the kernel exposes on {bus}. `range` selects another scale. With `fifo = true` every sample comes
 # from the kernel's buffer, if the device has one. Without `axes`, those of the device's mounting matrix are used.

@@ -2,8 +2,8 @@
 
 The checks cover the machine (device files, permissions), what the kernel reports about an I2C bus (adapter, clock,
 capabilities, drivers that own the array's addresses), the port of a microcontroller, and the folder for logs. A
-`Machine` is a file tree below a root folder, a user, and what only a running kernel can tell, so that a test can
-construct one.
+`Machine` is a file tree below a root folder, a user, and functions that return what only a running kernel reports, so
+that a test can construct one.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def free_bytes_in(folder: Path) -> int:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine: its file tree, the user, and what only a running kernel can tell."""
+    """A machine: its file tree, the user, and functions that return what only a running kernel reports."""
 
     root: Path = Path("/")
     user: int = field(default_factory=os.getuid)
@@ -100,7 +100,7 @@ def check_permission(machine: Machine, device: str) -> Check:
 
 
 def _group(machine: Machine, number: int) -> str:
-    """Return a group's name, by the machine's own list."""
+    """Return a group's name from the list of groups of the machine."""
     for line in machine.text("/etc/group").splitlines():
         name, _, rest = line.partition(":")
         if rest.split(":")[1:2] == [str(number)]:
@@ -308,7 +308,7 @@ def check_address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
 
 NIGHT_S = 12 * 3600.0
 _LIVE = 2.0
-"""A log and its journal, while it is written."""
+"""Disk space of a log while it is written, relative to that of its rows: each row is in the log and in its journal."""
 
 
 def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> list[Check]:

@@ -1,8 +1,8 @@
 """Episodes of faults, reported by two events: one when an episode begins, one with count and duration when it is over.
 
 An intermittent fault is one episode as well: each time it recurs soon, it must be absent for longer before the episode
-is over. The number of events is thus limited however long a fault persists: with quiet times of 1, 2, ... 512 and then
-900 seconds between its episodes, no more than 14 episodes of one kind begin in an hour.
+ends. The number of events is therefore limited however long a fault persists: with quiet times of 1, 2, ... 512 and
+then 900 seconds between its episodes, no more than 14 episodes of one kind begin in an hour.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from imuarray.log.format import Event
 from imuarray.log.rotate import Writer
 
 QUIET_NS = 1_000_000_000
-"""A fault that returns within this time belongs to the same episode. The time doubles whenever a fault returns later,
-but within `RELAPSE_NS`.
+"""Time in ns within which a fault that recurs belongs to the same episode. It doubles whenever the fault recurs later
+than this, but within `RELAPSE_NS`.
 """
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000

@@ -42,14 +42,14 @@ from imuarray.printable import counted
 from imuarray.wall_time import iso_text
 
 BATCH = 1024
-"""Most frames between two writes; usually those of `BATCH_S`."""
+"""Largest number of frames between two writes, for frame rates at which `BATCH_S` has more."""
 BATCH_S = 1.0
 TICK_S = 0.2
-"""The interval between two checks of conditions that change slowly."""
+"""Interval in s between two checks of conditions that change slowly."""
 _NAP_NS = 200_000_000
 _FAR_NS = 100_000_000
-"""A configuration in progress does not wait for a frame that is later than this. No result of a conversion becomes too
-old in a shorter time (`imuarray.drivers.OnDemandDriver`).
+"""Least time in ns from a step of a configuration to the next frame for which the step does not wait for the frame. No
+result of a conversion becomes too old in a shorter time (`imuarray.drivers.OnDemandDriver`).
 """
 
 
@@ -127,12 +127,12 @@ class Poll:
         """
         period_ns = round(1e9 / self.rate_hz)
         self.log.keep()
-        due_ns = self.clock.now_ns()  # files take time, which no frame has missed
+        due_ns = self.clock.now_ns()  # the first frame is due now: creating files took time, but no frame was missed
         end_ns = None if seconds is None else due_ns + frames_in(seconds, self.rate_hz) * period_ns
         if isinstance(self.log, RotatingWriter):
             self.log.starts(due_ns - self.epoch_ns)
         for buffer in self.buffers.values():
-            if buffer.queue is not None:  # its queue ran over while the others were configured
+            if buffer.queue is not None:  # it overflowed while the others were configured
                 with contextlib.suppress(OSError):
                     buffer.driver.fetch()
         try:
@@ -155,8 +155,8 @@ class Poll:
         return sum(adapter.all_time_outs for adapter in self._adapters)
 
     def skip(self, frames: int) -> int:
-        """Count `frames` missed frames: polled sensors lose readings, sensors with a queue do not. Frames that were
-        missed because a transaction timed out are those of the bus, all others those of the machine.
+        """Count `frames` missed frames: polled sensors lose readings, sensors with a queue do not. Frames missed
+        because a transaction timed out are attributed to the bus, all others to the machine.
         """
         if frames:
             by_bus = self._time_outs() > self._earlier_time_outs
@@ -178,8 +178,8 @@ class Poll:
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame. Wake at intervals to check for a request to stop, and to do what can't wait for a
-        frame that is far away (`_soonest`).
+        """Sleep until the next frame. Wake at intervals to check for a request to stop, and to do what must be done
+        before a frame that is far away (`_soonest`).
         """
         visited: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
@@ -197,7 +197,7 @@ class Poll:
                 return
 
     def _soonest(self, due_ns: int, visited: set[tuple[int, int]]) -> tuple[int, int]:
-        """Return when a sensor must be visited before the frame at `due_ns`, and its place; `due_ns` if none must.
+        """Return when a sensor must be visited before the frame at `due_ns`, and its place; `due_ns` if none must be.
 
         The reasons are the result of a conversion that would be too old by then, and a configuration in progress, which
         takes up to ten steps and would otherwise last for many frames.
@@ -359,7 +359,7 @@ def record(
     start_ns = bus.clock.now_ns()
     epoch = options.wall_time or getattr(bus, "epoch", None) or datetime.now(UTC)
     stopped = options.stopped
-    if hasattr(bus, "begins"):  # a transcript notes when it was, and when it ends
+    if hasattr(bus, "begins"):  # a transcript stores when the log began and when it was stopped
         bus.begins(epoch)
     if hasattr(bus, "stopping"):
         stopped = bus.stopping(stopped)

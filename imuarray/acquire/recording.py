@@ -107,13 +107,13 @@ class RecordingCounts:
     missed: int = 0
     """Frames that were skipped because the frame before ended after their time, up to the requested end."""
     missed_by_bus: int = 0
-    """Those of the missed frames before which a transaction on the bus timed out."""
+    """Number of missed frames before which a transaction on the bus timed out."""
     uncertain: int = 0
     """Readings whose time is uncertain by a millisecond or more, because the machine was busy."""
     lost: dict[str, int] = field(default_factory=dict)
     """Readings that did not arrive, by sensor."""
     silent: list[str] = field(default_factory=list)
-    """Sensors that no longer gave readings when the recording ended."""
+    """Sensors that returned no readings any more when the recording ended."""
     refused: int = 0
     """Frames of a serial link that were rejected: old, repeated, out of order or of an earlier boot."""
     seconds: float = 0.0

@@ -1,5 +1,5 @@
 """The readings of one sensor between bus and log: stored as raw bytes, decoded in blocks, and written once they are
-trusted; and the recovery of a sensor that gives none.
+trusted; and the recovery of a sensor that returns no readings.
 
 A row is written only after the chip's configuration was verified *after* the row was read. A chip that falls back to
 its defaults is noticed with a delay, and the readings in between must not be stored as good. The same applies to a chip
@@ -48,7 +48,9 @@ from imuarray.printable import counted
 
 FIRST_PAUSE_NS = 100_000_000
 LONGEST_PAUSE_NS = 3_200_000_000
-"""Pause between two attempts to reach a sensor, doubled each time. An attempt at a silent address takes 30 us."""
+"""Longest pause in ns between two attempts to reach a sensor; pauses double each time. An attempt at a silent address
+takes 30 us.
+"""
 
 
 class SensorRecovery:
@@ -141,19 +143,20 @@ _NEXT_FRAME = 1.1e9
 _FROZEN_READINGS = 24
 _FROZEN_S = 1.0
 _FROZEN_BANDWIDTHS = 30.0
-"""A sensor is frozen if its reading is constant for so many readings, seconds and correlation times. With noise of half
-a code rms on a single axis, three of four readings repeat the previous code.
+"""Number of readings, duration in s and number of correlation times for which a reading must be constant to count as
+frozen. With noise of half a code rms on a single axis, three of four readings repeat the previous code.
 """
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
 _FROZEN_SHARE = 0.9
-"""Least share of the nominal duration of these readings: frames in quick succession repeat a reading of the chip."""
+"""Least duration of a constant reading, as a share of the nominal one: frames in quick succession read the same sample
+of the chip again.
+"""
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
-"""A sensor counts as silent after this many seconds, and after the duration of this many readings, without a reading.
-"""
+"""A sensor without a reading for this number of seconds, and for the duration of this number of readings, is silent."""
 HELD_S = 10.0
-"""Longest time that a row waits. A row that was not verified in this time is written as suspect. Rows of a sensor that
-is read so rarely that a frozen reading is recognised only later are written before that.
+"""Longest time in s that a row waits. A row that was not verified in this time is written as suspect. If a sensor is
+read so rarely that a frozen reading is detected only later, its rows are written before that.
 """
 
 
@@ -169,7 +172,7 @@ class SampleBuffer:
         self.rate_hz = rate_hz
         self.times_ns: list[int] = []
         """Times of the waiting rows."""
-        self._uncertainties_ns: list[float] = []  # of the times, of rows that have it
+        self._uncertainties_ns: list[float] = []  # uncertainties of the times, for rows that have one
         self._bursts = bytearray()
         self._lost_before: list[int] = []
         self._overrun: list[int] = []
@@ -208,7 +211,7 @@ class SampleBuffer:
         self._watch_still = False
         self.doubtful_rows = np.zeros(0, bool)
         self.newest_ns: int | None = None
-        # The last reading that was written, its number of repetitions since the chip was configured, and since when.
+        # The last reading that was written, its repetitions since the chip was configured, and the time of the first.
         self._written_reading = b""
         self._written_run = self._written_since_ns = 0
 
@@ -386,7 +389,7 @@ class SampleBuffer:
         if rows == oldest or rows - oldest + self._written_run < needed:
             return None
         reading = self._reading(rows - 1)
-        for steps in (needed // 2, needed - 1):  # most often one of these differs
+        for steps in (needed // 2, needed - 1):  # usually one of these readings differs
             if steps < rows - oldest and self._reading(rows - 1 - steps) != reading:
                 return None
         first = rows - 1
@@ -516,20 +519,20 @@ def _later(rows: Sequence[int], count: int) -> list[int]:
 
 
 IDLE_NS = 450_000_000
-"""A queue that is empty for so long has stopped; with a tick of `Poll` before and after this time it is reported within
-a second. For a slow chip it is the duration of `IDLE_SAMPLES` samples.
+"""Time in ns after which an empty queue has stopped. With a tick of `Poll` before and after this time it is reported
+within a second. For a slow chip it is the duration of `IDLE_SAMPLES` samples.
 """
 IDLE_SAMPLES = 5
 
 AHEAD_NS = 1_000_000_000
-"""A row further ahead of the clock has a wrong time; the times of a microcontroller's rows are estimated to within some
-milliseconds.
+"""Time in ns by which a row may be ahead of the clock; the time of a row further ahead is wrong. The times of a
+microcontroller's rows are estimated to within some milliseconds.
 """
 
 _EARLIEST_NS = int(np.iinfo(np.int64).min)
 
 _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
-"""Flags about the time before a row: they pass from a rejected row to the next one."""
+"""Flags about the time before a row: a rejected row passes them to the next row."""
 
 
 class Intake:

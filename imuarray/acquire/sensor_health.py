@@ -6,9 +6,9 @@ report it.
 
 `Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
 reading since the last read. Two reads may follow each other closely (a late frame, a burst of frames after a stall); an
-old reading is then normal. It is an error when more time has passed since the last new reading than the chip needs for
-one at the slow end of its oscillator. Chips without such a flag can't be judged so, because two equal readings may be
-chance; `SampleBuffer.frozen_since` tests for those.
+old reading is then normal. It is an error if more time has passed since the last new reading than the chip needs for
+one at the slow end of its oscillator. Chips without such a flag can't be tested in this way, because two equal readings
+may be chance; `SampleBuffer.frozen_since` tests them.
 
 The rows of the first seconds wait until a `Judge`, which knows the start-up states, has given a verdict. Some chips
 start with a different bias each time (the paper's Gyro3 has two), or in another range, and do not report it. The states
@@ -37,9 +37,10 @@ from imuarray.log.writer import Block
 
 SECONDS = 10.0
 FEWEST_READINGS = 10
-"""The mean of fewer readings is too uncertain: noise could look like another state."""
+"""Least number of readings for a verdict; the mean of fewer is so uncertain that noise could look like another state.
+"""
 ATTEMPTS = 3
-"""Most attempts to configure a sensor that started wrong; after them, none of its readings are trusted."""
+"""Largest number of attempts to configure a sensor that started wrong; after them, none of its readings are trusted."""
 
 
 class StateVerdict(NamedTuple):
@@ -150,8 +151,8 @@ class Freshness:
 
 
 AWAY_NS = 250_000_000
-"""After this time of silence a sensor is searched for at growing intervals instead of read. A sensor that holds the
-clock delays all others, and is no longer read after two frames.
+"""Duration of silence in ns after which a sensor is searched for at growing intervals instead of read. A sensor that
+holds the clock delays all others, and is no longer read after two frames.
 """
 
 
@@ -179,7 +180,7 @@ class _SensorState:
         """Begin a fault that lasts until the sensor is configured again."""
         episode = self._faults.episode(self.name, kind)
         episode.begin(at_ns, message)
-        self.open_faults.append(episode)  # several at once: a kernel driver that takes a chip also configures it
+        self.open_faults.append(episode)  # there may be several: a kernel driver that takes a chip also configures it
 
     def has_fault(self, kind: str) -> bool:
         """Return whether a fault of this kind lasts."""
@@ -260,7 +261,7 @@ class SensorHealth:
         state.last_row_ns = now_ns
         state.lost.end(now_ns)
         for episode in state.open_faults:
-            episode.end(now_ns, reported=True)  # by what follows
+            episode.end(now_ns, reported=True)  # by the event below
         state.open_faults.clear()
         if recovery.is_intact:
             state.report(now_ns, "back", f"answers again with its configuration intact, after {took_s:.2f} s")
@@ -303,7 +304,7 @@ class SensorHealth:
             state.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
         elif buffer.queue is not None and now_ns - state.last_row_ns > buffer.idle_ns:
             overruns = buffer.queue.overruns if isinstance(buffer.queue, QueueReader) else 0
-            if overruns > state.overruns:  # there are samples
+            if overruns > state.overruns:  # the chip measures, but its queue overflows
                 state.overruns = overruns
                 state.overrun.happened(now_ns, "its queue runs over between two frames: raise the frame rate")
                 return
@@ -311,7 +312,7 @@ class SensorHealth:
             state.frozen.begin(now_ns, f"nothing in its queue for {idle_s:.1f} s{_lost_setting(buffer.driver)}")
         else:
             if state.frozen.lasts and buffer.moves:
-                state.frozen.end(now_ns, reported=True)  # by the event that it was set up again
+                state.frozen.end(now_ns, reported=True)  # by the event "reconfigured"
             return
         buffer.recover(now_ns, compare=False)
 

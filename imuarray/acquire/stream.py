@@ -33,7 +33,7 @@ from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.printable import counted
 
 Note = Callable[[Rows, str, str], None]
-"""(rows of the sensor, kind, message)."""
+"""Arguments: rows of the sensor, kind of event, message."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ class _StreamCheck:
 
     watched: ReadbackPlace
     good_rows: int = 0
-    """Rows that waited when this register was last right."""
+    """Number of waiting rows when this register was last read back as configured."""
     wrong: int = 0
 
 
@@ -206,16 +206,18 @@ class StreamHealth:
 
 
 WRITE_NS = 1_000_000_000
-"""Between two writes."""
+"""Time between two writes, in ns."""
 SILENCE_NS = 2_000_000_000
 SILENT_PERIODS = 2.5
 """A microcontroller that has sent nothing for this time, and for this multiple of its usual pauses, was reset or
 removed.
 """
 QUIET_S = 0.5
-"""Nothing for so long before the end, and two of the microcontroller's own pauses more, is no such pause."""
+"""Duration of silence at the end, in s and in excess of two of the microcontroller's usual pauses, above which the link
+is lost.
+"""
 PAUSE_NS = 3_000_000_000
-"""Between two attempts to set chips up again, or to find the microcontroller."""
+"""Time in ns between two attempts to configure chips again, or to find the microcontroller."""
 
 
 def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
@@ -260,7 +262,7 @@ class Streaming:
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
         read_clocks = clock_reader(bus.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
         self._clocks = Clocks(read_clocks, epoch_ns, log.clocks, self._faults.note)
-        self._periods: int | None = None  # how many are required; `split` of them are a frame
+        self._periods: int | None = None  # number of periods to record; `split` of them are a frame
         self._earlier_periods = 0  # periods before the stream was last started
         self._newest = -1  # number of the newest period since
         self._received_ns = self._written_ns = now_ns

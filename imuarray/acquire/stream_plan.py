@@ -33,11 +33,11 @@ from imuarray.facts.registers import Setting
 
 SWEEP_S = 0.84
 MAX_TURNS = 64
-"""Read-backs share lists where there are more of them: firmware has room for 128 lists."""
+"""Largest number of lists of read-backs; more read-backs share lists. The firmware has space for 128 lists."""
 _SLACK = 1.1
-"""Factor by which a chip's own clock may be fast without its readings getting lost between ours."""
+"""Factor by which a chip's own clock may be fast without a loss of readings between two visits."""
 _SLACK_NS = 500_000
-"""How much closer than a frame two visits may come when a request is tried twice."""
+"""Time in ns by which two visits may be closer than a frame if a request is tried twice."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ class StreamPlan:
 
 
 _Key = tuple[int, int, int]
-"""Every, offset, and which of the lists with these."""
+"""Key of a list: its `every` and `offset`, and its number among the lists with these."""
 _MUX_BYTES = 2
-"""A switch to a channel, before a visit."""
+"""Bytes in the answer for the switch to a channel before a visit."""
 
 
 class _Lists:
@@ -183,7 +183,7 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
     drained: dict[int, tuple[VisitPlace, ...]] = {}
     for route in ordered:
         queue = unattended_queue_of(route.driver)
-        if id(queue) in drained:  # the other half of the die
+        if id(queue) in drained:  # the queue of the other half of the chip
             places[id(route)] = drained[id(queue)]
             continue
         if queue is None:
@@ -256,14 +256,14 @@ FAILURE_TEXTS = {
     AGE_HELD: "the clock is held (errno 110)",
     0: "the conversion was not finished",
 }
-"""The words of an event for an age that tells of a failure."""
+"""Text of an event by age, for ages that encode a failure."""
 _MOST_PENDING = 1024
 LINK = "lost on the link, or the microcontroller was late"
 
 
 class Readings(NamedTuple):
     """Readings of one visit that arrived: numbers of the frames (n,), times (n,) in ns on the host's clock, parts of
-    the burst (n, size). `failure` says why the last one that is missing is missing, in the words of an event.
+    the burst (n, size). `failure` is the cause of the last missing one, as the text of an event.
     """
 
     numbers: Integers
@@ -307,8 +307,8 @@ class Rows:
 
     @property
     def idle_ns(self) -> int:
-        """Return for how long a queue has been empty although it was read, if that is so long that the chip must have
-        stopped; otherwise 0.
+        """Return for how long a queue has been empty although it was read, if that is long enough that the chip must
+        have stopped; otherwise 0.
         """
         return 0
 
@@ -347,8 +347,8 @@ class Rows:
         return self.missing(number)
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the readings among the samples; return how many are missing before the last of them, and why the last of
-        those is missing.
+        """Add the readings among the samples; return how many are missing before the last of them, and the cause of the
+        last missing one.
         """
         readings = self._whole(samples_by_list, rate)
         count = len(readings.numbers)
@@ -371,7 +371,7 @@ class Rows:
             failure = earlier.failure or failure
             shift = last.offset - place.offset
             self._parts.update(zip((earlier.numbers + shift).tolist(), earlier.parts, strict=True))
-            for number in sorted(self._parts)[:-_MOST_PENDING]:  # whose last visit never came
+            for number in sorted(self._parts)[:-_MOST_PENDING]:  # their last visit did not arrive
                 del self._parts[number]
         if last.number not in samples_by_list:
             return Readings(_EMPTY, _EMPTY, np.empty((0, 0), np.uint8), failure)

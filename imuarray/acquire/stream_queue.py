@@ -1,8 +1,8 @@
 """Rows of chips whose queues a microcontroller drains (`imuarray.drivers.unattended`).
 
-The number of samples in a queue was counted between the START of its transaction and that of the next, both known on
-the microcontroller's counter. The samples are timed on that counter (`FifoClock`), and only then on the host's clock,
-whose fit improves during the recording.
+The number of samples in a queue was counted between the START of its transaction and that of the next; both are known
+on the microcontroller's counter. The times of the samples are first computed on that counter (`FifoClock`), then
+converted to the host's clock, because the fit between the two clocks improves during the recording.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ LONGEST_US = 1_000_000
 """A transaction with the largest age that can be sent took place within this time; a watchdog ends longer ones.
 """
 _COUNTER_NS = 2_000
-"""Ages and times of the microcontroller are whole microseconds: a time and an age are off by one each."""
+"""Uncertainty in ns of a time minus an age: both are whole microseconds, and each is off by up to one."""
 IDLE_REPORT_NS = 900_000_000
-"""An empty queue is reported at the last drain before this time. Registers are read back twice in `SWEEP_S`: a lost
-configuration is reported earlier.
+"""Time in ns within which an empty queue is reported, at the last drain before its end. A lost configuration is
+reported earlier, because registers are read back twice in `SWEEP_S`.
 """
 RAN_OVER = "the chip's queue ran over"
 
@@ -126,7 +126,9 @@ class QueueRows(Rows):
         return "its queue ran over" if self._queue.ran_over else "its queue gave no valid samples"
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the samples of the bursts that arrived; return how many are missing before the last of them, and why."""
+        """Add the samples of the bursts that arrived; return how many are missing before the last of them, and the
+        cause.
+        """
         if self._leader is self:
             self._failure = ""
             samples = samples_by_list.get(self.places[0].number)
@@ -167,7 +169,7 @@ class QueueRows(Rows):
         for index, age in enumerate(worst.tolist()):
             if age >= AGE_HELD:
                 self._failure = FAILURE_TEXTS[age]
-                if own_ages[index] < AGE_HELD and len(self._ages) > 1:  # counted, but not known which were read
+                if own_ages[index] < AGE_HELD and len(self._ages) > 1:  # counted, but unknown which were read
                     self._die_queue.distrust()
                 continue
             sent_us = int(samples.sent_us[index])
