@@ -1,11 +1,12 @@
-"""Simulated logs: a motion, sensed by every sensor of an array through the effects of a model, written as counts.
+"""Simulated logs: every sensor of an array measures a motion, the effects of a model act on its signal, and counts are
+written.
 
 ::
 
     motion  ->  effects, in physical order  ->  counts  ->  log
-    what        one small class each            codes,      the same shape as
-    the box     (`EFFECTS`), parameters         flags       a recorded one,
-    feels       from a model file                           `/truth` beside it
+    force,      one small class each            codes,      the same shape as
+    rate,       (`EFFECTS`), parameters         flags       a recorded one,
+    field ...   from a model file                           with `/truth`
 
 Any block of a log can be made alone; the same seed gives the same rows whatever the block size or number of workers.
 `imuarray.simulate(array, "sim.h5")` does all of it (`imuarray.analysis.simulate`).

@@ -1,4 +1,4 @@
-"""An effect that acts for a part of the time: in some runs, from a moment on, or during some stretches."""
+"""Effects that act for part of the time: in some runs, from an instant on, or during some stretches."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ _MATTERING = frozenset({"own_clock", "jitter", "channel_swap"})
 
 
 def effects_in(run: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return the effects, in order, without those that change nothing in the run with that number: they do not act in
-    it, and no later effect of their kind does, whose random draws would be others without them.
+    """Return the effects, in order, without those that can be omitted in the run with that number. An effect can be
+    omitted if neither it nor a later effect of its kind acts in this run. An earlier effect of the same kind stays,
+    because the random draws of the later one depend on its index.
     """
     chosen: list[Effect] = []
     for effect in reversed(effects):
@@ -45,7 +46,7 @@ def effects_in(run: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
 @dataclass(frozen=True)
 class _Within(Effect):
     """An `effect` that acts only on rows whose stamps lie within `stretches_ns`, each (from, until). Its random draws
-    are those of an effect that acts always.
+    are the same as those of an effect that always acts.
     """
 
     effect: Effect = Effect()  # noqa: RUF009  # frozen

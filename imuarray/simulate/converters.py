@@ -22,13 +22,15 @@ EVEN_ONLY_FROM_HZ = 1600.0
 """Data rate of the ADXL345 from which its lowest bit is always 0 in full resolution (ADX-47)."""
 
 _NEAREST = 0.75
-"""Share of a configured rate: actual rates above it belong to this setting and not to the next lower one, because the
-ADXL345's rates are octaves apart (ADX-32).
+"""Fraction of a configured rate. An actual rate above it is taken to be this setting and not the next lower one,
+because the rates of the ADXL345 are octaves apart (ADX-32).
 """
 
 _ON_TIME = 1e-6
 _ROUNDED_S = 1e-9
-"""A reading that is due within a millionth of a period, or within the rounding of times, counts as made."""
+"""Tolerances of a due time, as a fraction of a period and in s (the rounding of times). A reading that is due within
+the larger of the two counts as made.
+"""
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> 
 
 
 def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Reals:
-    """Return the number of the latest reading; one that is due at that instant counts."""
+    """Return the number of the latest reading; a reading that is due at exactly that instant is included."""
     periods = instant_ns * (rate_hz * 1e-9)
     periods += max(_ON_TIME, _ROUNDED_S * rate_hz) + phase
     return np.asarray(np.floor(periods, out=periods))

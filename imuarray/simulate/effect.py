@@ -51,7 +51,7 @@ FOREVER_S = 1e9
 class Effect:
     """A cause of differences between truth and counts.
 
-    It acts always, or only within its `spans`. A span has three numbers: the number of a run, and the beginning and end
+    It always acts, or only within its `spans`. A span has three numbers: the number of a run, and the beginning and end
     in that run, in seconds of the log's clock.
     """
 
@@ -97,11 +97,11 @@ class Effect:
         return 0
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Return when rows are read, and which of them arrive."""
+        """Return the instants at which rows are read, and which rows arrive."""
         return instants
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
-        """Return the logger's flags: (n,) flags of the rows."""
+        """Return the flags (n,) that the logger sets in these rows."""
         return status
 
     def felt(self, felt: Felt, at: Place) -> Felt:
@@ -161,8 +161,8 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 
 def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
-    """Return lists that have a number for every event, as floats; ValueError unless they are equally long, finite and
-    not negative.
+    """Return lists of numbers, one number for each event, as floats; ValueError unless the lists have equal lengths and
+    all numbers are finite and not negative.
     """
     (first, first_values), *_ = lists.items()
     return {name: _of_events(name, values, first, len(first_values)) for name, values in lists.items()}
@@ -170,7 +170,7 @@ def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
     """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" for the field `offset`.
-    Keys that all effects have are last.
+    The keys that all effects have in common are last.
     """
     ordered = sorted(fields(kind), key=lambda item: item.name == "spans")
     return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in ordered}
@@ -219,7 +219,7 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def _complaint(value: object, item: Field[Any]) -> str:
-    """Return what is required instead of `value`; "" if it is valid."""
+    """Return the text that states what is required instead of `value`; "" if `value` is valid."""
     if isinstance(item.default, str):
         return "" if isinstance(value, str) else "a text in quotes"
     if not isinstance(item.default, tuple):
@@ -244,6 +244,6 @@ def _unknown(key: str, allowed: list[str]) -> str:
 
 
 def _respell(complaint: str, known: Mapping[str, Field[Any]]) -> str:
-    """Return an effect's complaint "rms: ..." with the key of the file instead of the name of the parameter."""
+    """Return an effect's error text "rms: ..." with the parameter's name replaced by the key of the file."""
     parameter, colon, rest = complaint.partition(":")
     return next((key for key, item in known.items() if item.name == parameter), parameter) + colon + rest

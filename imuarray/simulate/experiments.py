@@ -1,7 +1,7 @@
 """The experiments by name, each a motion and environment of the box with a configurable length.
 
-They are the five of the paper's section 4 and after: a box at rest, tumbled, heated, switched on again and again,
-moved. Without a length each lasts as long as its own description says.
+They are the five experiments of the paper's section 4 and the following ones: a box at rest, tumbled, heated, switched
+on repeatedly, moved. Without a length, each has the default length of its motion.
 
 A simulation writes one log, a log for each boot of a turn-on series, or one like a recorded log.
 """
@@ -36,7 +36,7 @@ TURN_ON_S = 300.0
 _STATIC_S = 600.0
 _TURN_S = 5.0
 _REST_SHARE = 1 / 6
-"""Share of a motion at rest, at its beginning and again at its end."""
+"""Share of the experiment's length during which the box is at rest at the beginning, and again at the end."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def static(wanted: ExperimentOptions) -> Motion:
 
 
 def tumble(wanted: ExperimentOptions) -> Motion:
-    """Return a tumble over seven faces; turns are shortened, too, if there is little time."""
+    """Return a tumble over seven faces; if the time is short, the turns are shortened, too."""
     faces = len(ORDER)
     temperatures = (wanted.temperature_degc,) * faces
     if wanted.seconds is None:
@@ -122,7 +122,7 @@ EXPERIMENTS: Mapping[str, Callable[[ExperimentOptions], Motion]] = MappingProxyT
 
 @dataclass(frozen=True)
 class BootRun:
-    """One log to write: where, of what, and which boot of the units it is."""
+    """One log to write: its path, its plan and motion, and the number of the boot of the units."""
 
     path: Path
     plan: Plan
@@ -171,7 +171,7 @@ def turn_on_series(
 def run_of(
     array: ArrayConfig, path: Path, experiment: str, options: ExperimentOptions, *, rate_hz: float, boot: int
 ) -> BootRun:
-    """Return one run of one of `EXPERIMENTS`; of a turn-on series the run `options.run`."""
+    """Return one run of one of `EXPERIMENTS`; for a turn-on series, the run number `options.run`."""
     motion = EXPERIMENTS[experiment](options)
     return BootRun(path, plan_of(array, rate_hz, options.seconds or motion.seconds), motion, boot)
 
@@ -195,8 +195,8 @@ def with_effects(
 
 
 def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -> Iterator[str]:
-    """Return sentences about effects that a model lacks, parts of it that apply to no sensor, and a recorded log that
-    does not state how the box moved.
+    """Yield remarks on sensors without effects in the model, on parts of the model that apply to no sensor, and on a
+    recorded log that does not state how the box moved.
     """
     triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
     ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]

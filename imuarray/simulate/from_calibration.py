@@ -71,8 +71,8 @@ def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
 
 
 def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
-    """Yield the effects that reproduce the calibration's map. A data-sheet value in the map was not measured and yields
-    no effect.
+    """Yield the effects that reproduce the calibration's map. A data-sheet value in the map was not measured, so no
+    effect is made from it.
     """
     orientation = np.array(header.orientation)
     sensed = unit.response_lsb_per_unit @ orientation / header.sensitivity
@@ -115,8 +115,9 @@ def _nearest_axes(sensed: Floats) -> Floats:
 
 def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
     """Yield the slopes at the temperature at which the bias holds; CalibrationError for a slope that no sensor can
-    have. A slope that may be one of the scale is taken for one of the bias: at rest both produce the same counts. A lag
-    relative to the chip's own thermometer is not a lag relative to the box, whose temperature the simulator uses.
+    have. A slope that may belong to the scale factor is assumed to belong to the bias, because at rest both produce the
+    same counts. A lag relative to the chip's own thermometer is not a lag relative to the box, whose temperature the
+    simulator uses.
     """
     if unit.thermal is None:
         return
@@ -148,7 +149,7 @@ def _step_lsb(model: Model, header: SensorHeader) -> Integers:
 
 
 def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
-    """Raise CalibrationError unless the calibration is one of this sensor at this range and models know the chip."""
+    """Raise CalibrationError unless the calibration is of this sensor at this range and models support the chip."""
     where = f"sensor {header.name}"
     chip = TRIADS.get(header.chip)
     if not header.sensitivity or (chip is not None and header.range not in chip.sensitivity):

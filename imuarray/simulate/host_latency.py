@@ -1,9 +1,9 @@
 """Delays of the host that read an array, estimated from the times of all its sensors' rows in a log.
 
-The sensors of a frame are read one after the other, as fast as the bus transfers their bytes. If another program had
-the processor before one of them, it and all that follow it are late by that time. Of a reading that took longer than
-its bits need, a recorder knows only the two times between which it was on the wire, and stores the middle (with an
-error of half the wait at most): half of a wait is therefore before the time of the row that waited, half after it.
+The sensors of a frame are read one after the other, as fast as the bus transfers their bytes. If another program uses
+the processor before one of them is read, this sensor and all that follow are late by that time. A recorder knows only
+the two times between which a reading was transferred, and stores the middle of them. If the reading took longer than
+its bits need, the error is at most half the wait: half of the wait is before the stored time of the row, half after it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LEAST_NS = 250_000
 """Half of the shortest wait that is evaluated, in ns."""
 
 _LEAST = 16
-"""Number of times that one sensor must follow another before their usual interval is known."""
+"""Minimum number of times that one sensor must follow another for their usual interval to be estimated."""
 
 _NEVER_NS = 1 << 62
 _NOTHING: Integers = np.zeros(0, np.int64)
@@ -40,8 +40,9 @@ _MARGIN_NS = 10**9
 
 @dataclass(frozen=True, eq=False)
 class DelayedTimes:
-    """The rows of a recorded sensor, as its `own` timeline has them; before those numbered `waited` (w,), ascending,
-    the host was kept waiting, twice `half_ns` (w,), and those numbered `missed` (m,), ascending, no sensor has.
+    """The rows of a recorded sensor at the times of its `own` timeline, with the delays of the host. Before the rows
+    numbered `waited` (w,), ascending, the host waited for twice `half_ns` (w,). The rows numbered `missed` (m,),
+    ascending, are missing in all sensors.
     """
 
     own: Timeline
@@ -51,7 +52,7 @@ class DelayedTimes:
 
     @property
     def rows(self) -> int:
-        """The sensor's own timeline."""
+        """The number of rows of its own timeline."""
         return self.own.rows
 
     @property
@@ -191,7 +192,8 @@ def _pairs(rows: _FrameRows, count: int) -> _SensorPairs:
 
 def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
     """Return (n,) half of the host's wait before each row: the excess that the intervals before and after it have in
-    common. If one of the two is not known, it is the excess of the other less the part of the neighbour.
+    common. If one of the two intervals is not known, it is the excess of the other minus the part that belongs to the
+    neighbour.
     """
     interval, step = np.diff(rows.time_ns), (rows.which[:-1], rows.which[1:])
     over, idle = interval - pairs.usual_ns[step], interval - pairs.idle_ns[step]
@@ -213,8 +215,8 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
 
 
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
-    """Return the numbers of the sensor's rows that were lost when every other sensor lost some: the host did not
-    read.
+    """Return the numbers of the sensor's rows that were lost while every other sensor also lost rows, which means that
+    the host did not read.
     """
     other_times = [times for other, times in after.items() if other != name]
     if not isinstance(line, GapFilledTimes) or not other_times:

@@ -7,9 +7,9 @@
     [[sensor]]   name  chip  range  noise_bandwidth_hz       one known unit; a chip we don't drive says its unit
                  [design.bias], [[sensor.tone]], ...         its effects; several of a kind as an array of tables
 
-Effect by effect, a sensor takes what stands first: its [[sensor]] at its range, its [[sensor]] at any range, the
-[[design]] of its chip at its range, the [[design]] of its chip. Figures are numbers or populations (`population`) and
-carry the sensor's unit in their keys ("offset_g").
+For each effect, a sensor uses the first of these tables that has it: its [[sensor]] at its range, its [[sensor]] at any
+range, the [[design]] of its chip at its range, the [[design]] of its chip. Values are numbers or populations
+(`population`); their keys contain the sensor's unit ("offset_g").
 """
 
 from __future__ import annotations
@@ -46,9 +46,10 @@ _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fal
 class Part:
     """A chip and its effects: one known unit called `name`, or (without a name) all units of its design.
 
-    `range` in the chip's unit (None: any). `noise_bandwidth_hz` is the bandwidth at which its white noise holds; at
-    another one the noise goes with the root of it (None: the noise is the same at any bandwidth). `unit` is that of the
-    figures of a chip that `imuarray.chips` does not have ("g", "dps" or "gauss"), "" for the others.
+    `range` in the chip's unit (None: any). `noise_bandwidth_hz` is the bandwidth at which the value of its white noise
+    holds; at another bandwidth the noise is proportional to the root of the bandwidth (None: the noise is the same at
+    any bandwidth). `unit` is the unit of the values for a chip that `imuarray.chips` does not have ("g", "dps" or
+    "gauss"), "" for the others.
     """
 
     chip: str
@@ -96,7 +97,8 @@ class Model:
         """Return the effects of one sensor, drawn where the model has populations, in physical order; none for a chip
         that the model does not know.
 
-        `population` leaves known units aside: every sensor is drawn from its design. `without` leaves effects out.
+        With `population`, known units are ignored: every sensor is drawn from its design. Effects named in `without`
+        are omitted.
         """
         parts = self.parts(sensor, population=population)
         return tuple(
@@ -135,7 +137,7 @@ def load_model(path: str | PathLike[str]) -> Model:
 
 
 def parse_model(text: str, where: str = "model") -> Model:
-    """Return a model from TOML text; `where` stands at the head of every message."""
+    """Return a model from TOML text; every error message begins with `where`."""
     return _model_of(parse_toml(text, _ModelFile, where), text, where)
 
 

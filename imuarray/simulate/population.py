@@ -31,11 +31,11 @@ _Size = Annotated[float, Limits(ge=0, le=HUGE)]
 
 
 class Spread(BaseModel):
-    """A normal population: `mean`, standard deviation `sigma`, no value further than `limit` from the mean (left out:
+    """A normal population: `mean`, standard deviation `sigma`, no value further than `limit` from the mean (default:
     three sigma), all in the parameter's unit.
 
-    `shared` is the share of the variance that all units of the chip have in common: what belongs to its design and
-    not to the single part. The limit cuts the population off as if draws beyond it were repeated.
+    `shared` is the share of the variance that all units of the chip have in common, because it belongs to the design
+    and not to the single part. The limit truncates the population as if draws beyond it were repeated.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -69,9 +69,7 @@ second.
 
 
 def _probability(deviate: float) -> float:
-    """Return the probability that a standard normal value is below `deviate`, precisely also for small
-    probabilities.
-    """
+    """Return the probability that a standard normal value is below `deviate`, precise even for small probabilities."""
     return 0.5 * math.erfc(-deviate / math.sqrt(2))
 
 

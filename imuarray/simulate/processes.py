@@ -1,15 +1,16 @@
-"""Slow random processes that can be generated for any stretch of rows alone: Gauss-Markov, random walk.
+"""Slow random processes, Gauss-Markov and random walk, of which any stretch of rows can be generated alone.
 
-A process is generated on knots, every `spacing` rows, and is linear in between. Where knots are rows it is exact; knots
-are at most a five hundredth of a time constant apart (a tenth of a second for a random walk), or one row. That leaves
-out less than 0.1 % of a Gauss-Markov process's variance, at frequencies where every sensor's white noise is many
-thousand times stronger. The spacing of a Gauss-Markov process is a power of two and its draws are the same for every
-time constant, so that a process with a slightly different time constant is a slightly different one, unless the spacing
+A process is generated on knots, every `spacing` rows, and is linear in between. If every row is a knot, it is exact.
+Otherwise knots are at most a five hundredth of a time constant apart (a tenth of a second for a random walk). This
+omits less than 0.1 % of the variance of a Gauss-Markov process, at frequencies at which the white noise of every sensor
+is many thousand times stronger. The spacing of a Gauss-Markov process is a power of two and its draws do not depend on
+the time constant. A slightly different time constant therefore gives a slightly different process, unless the spacing
 changes.
 
-Knots are grouped in chunks. The values at the begin and end of a chunk are drawn first, from a stream of its own and
-with the exact law x[end] = phi**KNOTS x[begin] + w; its inside is drawn from another stream as if free, x' = phi x' +
-innovation, and then corrected to meet that end (conditioning of jointly normal numbers). Any chunk thus costs the same.
+Knots are grouped in chunks. The values at the beginning and end of each chunk are drawn first, from a separate stream
+and with the exact law x[end] = phi**KNOTS x[begin] + w. The knots inside are drawn from another stream without regard
+to the end, x' = phi x' + innovation, and then corrected to meet it (conditioning of jointly normal numbers). Every
+chunk therefore costs the same.
 """
 
 from __future__ import annotations
@@ -27,8 +28,7 @@ from imuarray.simulate.signal import Place, Triple
 from imuarray.simulate.streams import Stream
 
 KNOTS = 4096
-"""Knots per chunk of a process: enough that drawing them dominates the cost, and few enough to draw beyond a
-stretch.
+"""Knots per chunk of a process. Drawing them dominates the cost, but few are drawn in vain beyond a requested stretch.
 """
 
 _PER_TIME_CONSTANT = 500
@@ -82,9 +82,9 @@ class SlowProcess:
     def _interpolated(self, piece: int, dtype: str) -> Reals:
         """Return the rows of one piece.
 
-        A matrix product: two knots of three axes to the rows from the one to just before the other. Pieces have one
-        size, and so small a one that BLAS takes a single thread for it: the same product rounds the same way, whatever
-        stretch it is for.
+        A matrix product turns two adjacent knots of three axes into the rows from the first knot to just before the
+        second. All pieces have the same size, which is so small that BLAS uses a single thread: the rounding of a row
+        does not depend on the requested stretch.
         """
         begin = piece * self._piece_knots
         knots = (self._between(begin, begin + self._piece_knots + 1) * self._scale).astype(dtype)
@@ -107,7 +107,9 @@ class SlowProcess:
         return np.asarray(self._inside.recall(("knots", self._recursion, chunk), lambda: self._drawn(chunk)), float)
 
     def _drawn(self, chunk: int) -> Floats:
-        """Return the knots (KNOTS, 3) of one chunk: drawn freely, then corrected towards the drawn end."""
+        """Return the knots (KNOTS, 3) of one chunk: drawn without regard to the end, then corrected to meet the drawn
+        end.
+        """
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
         steps = self._draws.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
@@ -119,7 +121,7 @@ class SlowProcess:
         return knots
 
     def _edges(self, chunk: int) -> tuple[Floats, Floats]:
-        """Return the first and last value of a chunk, including the steps of earlier chunks as far as they have an
+        """Return the first and last value of a chunk, including the steps of earlier chunks that still have an
         influence.
         """
         felt = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk

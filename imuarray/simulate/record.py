@@ -26,7 +26,7 @@ _AHEAD = 4
 
 
 class Written(NamedTuple):
-    """The contents of a written log: frames, seconds, rows by sensor, and rows that were dropped on the way."""
+    """The contents of a written log: frames, seconds, rows by sensor, and dropped rows by sensor."""
 
     frames: int
     seconds: float
@@ -45,8 +45,8 @@ class _ArrivingRows(NamedTuple):
 
 @dataclass(frozen=True)
 class Origin:
-    """The statements of a simulated log about itself: the wall time of time 0 (ISO 8601, UTC), and a note (which model,
-    which seed) that becomes an event at time 0.
+    """The origin that a simulated log states: the wall time of time 0 (ISO 8601, UTC), and a note (model and seed) that
+    becomes an event at time 0.
     """
 
     epoch: str = EPOCH
@@ -56,8 +56,8 @@ class Origin:
 @dataclass(frozen=True)
 class Division:
     """The division of the work: rows per block, and an executor that computes `workers` blocks at a time. Threads are
-    sufficient, because random numbers are drawn outside the interpreter's lock. With blocks of one chunk of the file,
-    calls of NumPy and HDF5 would take a seventh of the time.
+    sufficient, because random numbers are drawn outside the interpreter's lock. With blocks as short as one chunk of
+    the file, the overhead of NumPy and HDF5 calls would take a seventh of the time.
     """
 
     block_rows: int = 4 * CHUNK
@@ -119,7 +119,7 @@ def total_rows(simulation: Simulation) -> int:
 
 
 def phases_within(phases: tuple[Phase, ...], end_ns: int) -> list[Phase]:
-    """Return the parts of phases that lie before the end of a log."""
+    """Return the phases that begin before the end of a log, cut off there."""
     return [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]
 
 

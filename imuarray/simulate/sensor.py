@@ -1,7 +1,7 @@
 """One simulated sensor: any stretch of its rows, independent of the order and extent of requests.
 
-Rows are computed in chunks of `CHUNK`, each with as many rows before it as its effects look back. Blocks are cut from
-chunks, so their length can't change a result.
+Rows are computed in chunks of `CHUNK`, each together with the earlier rows that its effects need (`Effect.lookback`).
+Blocks are cut from chunks, so their length does not change a result.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The things that all triads of a simulation share: the motion, the random streams, the function that gives a
-    neighbour's codes by its name and rows, and the type of the numbers.
+    """The data that all triads of a simulation share: the motion, the random streams, the function that returns a
+    neighbour's codes by name and rows, and the type of the numbers.
     """
 
     motion: Motion
@@ -87,7 +87,9 @@ class Surroundings:
 
 
 class _SharedSignal(NamedTuple):
-    """The memory of signals after the first so many acting `effects`, which belong to an `owner` there."""
+    """The memory that stores signals after the first `effects` acting effects, and the `owner` to which they belong in
+    it.
+    """
 
     memory: DrawMemory
     owner: Hashable
@@ -105,7 +107,7 @@ class SimulatedSensor:
         surroundings: Surroundings,
         lies: Matrix | None = None,
     ) -> None:
-        """`lies` is the true orientation, if it differs from that of the header."""
+        """Create the triad. `lies` is the true orientation, if it differs from that of the header."""
         self.header = header
         self.timeline = timeline
         self.effects = tuple(effects)
@@ -139,7 +141,9 @@ class SimulatedSensor:
         self._shared: _SharedSignal | None = None
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
-        """Keep computed rows in a memory, in which they belong to `owner`, rather than the latest of them here."""
+        """Keep computed rows in a memory, in which they belong to `owner`, instead of keeping only the latest in this
+        sensor.
+        """
 
         def chunk(number: int, swapped: bool) -> Chunk:
             key = (owner, number, swapped)
@@ -153,7 +157,7 @@ class SimulatedSensor:
 
     def share(self, memory: DrawMemory, owner: Hashable, count: int) -> None:
         """Keep the signal after the first `count` effects in a memory, in which it belongs to `owner`: simulations that
-        differ in later effects only have it in common, unless one of these changes when rows are read or what is felt.
+        differ only in later effects share it, unless one of these changes the read times or the stimulus.
         """
         chosen, later = self.effects[:count], self.effects[count:]
         if not any(_changes_felt_signal(effect) for effect in later):
@@ -163,8 +167,8 @@ class SimulatedSensor:
 
     def block(self, start: int, stop: int, demand: Demand = Demand.ANY) -> Block:
         """Return those of the rows start ... stop - 1 that arrive (fewer than stop - start if readings are dropped).
-        By the `demand` these rows alone are computed, where that costs less than their chunks; the result is the same,
-        to rounding if effects look back.
+        Depending on the `demand`, only these rows are computed if that costs less than their chunks; the result is the
+        same, but for rounding if effects need earlier rows.
         """
         parts = [self._arriving(chunk, start, stop, demand) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
         if len(parts) == 1:
@@ -263,7 +267,7 @@ class SimulatedSensor:
     def _chain(
         self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]], until: int | None = None
     ) -> tuple[Instants, Codes]:
-        """Compute rows first ... stop - 1 through all stages; the last stage only up to effect number `until`."""
+        """Compute rows first ... stop - 1 through all stages; in the last stage, only up to effect number `until`."""
         shared = self._shared
         if shared is None:
             instants, analog = self._felt_signal(first, stop, acting)
@@ -280,7 +284,7 @@ class SimulatedSensor:
         return instants, codes
 
     def _felt_signal(self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]]) -> tuple[Instants, Analog]:
-        """Return when rows first ... stop - 1 are read, and the true quantity."""
+        """Return the instants at which rows first ... stop - 1 are read, and the signal of the true quantity."""
         stamps = self.timeline.stamps(first, stop)
         instants = Instants(first, stamps, stamps, np.ones(len(stamps), bool), self.header.rate_hz)
         for effect, at in acting:
@@ -377,13 +381,13 @@ class SimulatedBarometer:
 
 
 def _changes_felt_signal(effect: Effect) -> bool:
-    """Return whether an effect changes when rows are read or what is felt then."""
+    """Return whether an effect changes the instants at which rows are read, or the stimulus at these instants."""
     kind = type(effect)
     return kind.sampled is not Effect.sampled or kind.felt is not Effect.felt
 
 
 def _bytes_of(instants: Instants, analog: Analog) -> int:
-    """Return the memory of the arrays of a signal, each counted once; those that repeat one row have none."""
+    """Return the size in bytes of the arrays of a signal, each counted once; arrays that repeat one row count as 0."""
     arrays = {id(item): item for stage in (instants, analog) for item in vars(stage).values()}.values()
     return sum(item.nbytes for item in arrays if isinstance(item, np.ndarray) and item.strides[0])
 

@@ -1,8 +1,9 @@
-"""Signals that pass through the effects: instants, what the box feels there, the sensing element's signal, counts.
+"""Signals that pass through the effects: instants, the stimulus of the box at these, the sensing element's signal,
+counts.
 
-Each stage is a frozen dataclass of equally long arrays for consecutive rows of one sensor; `first` is the number of
-the first row. An effect returns a new one and leaves the one it was given as it was. Vectors carry their frame:
-`_box` is the box, `_sensor` (or none) the sensor's own axes. The sensor's unit is its data sheet's: g, dps or gauss.
+Each stage is a frozen dataclass of equally long arrays for consecutive rows of one sensor; `first` is the number of the
+first row. An effect returns a new one and does not modify its argument. The suffix of a vector is its frame: `_box` is
+the box, `_sensor` (or no suffix) the sensor's own axes. The sensor's unit is its data sheet's: g, dps or gauss.
 """
 
 from __future__ import annotations
@@ -49,11 +50,11 @@ class Analog:
     """The signal between the sensing element and the converter, in the sensor's unit and along its own axes.
 
     `value` (n, 3) without noise and `noise` (n, 3) are kept apart until they are converted; `force_g` (n, 3) is the
-    true specific force in g along the sensor's axes, `temperature_degc` (n,) the element's, `thermometer_degc` (n,)
-    what the chip's own thermometer feels. `sensitivity` (counts per unit, a number or (n, 1)), `lowest` and `highest`
-    code and `step` between codes are the converter's; `rate_hz` is how often it makes new ones. `white_rms`, (3,) or
-    (n, 3), is the standard deviation along each axis of the part of the noise that is independent from one reading to
-    the next.
+    true specific force in g along the sensor's axes, `temperature_degc` (n,) the element's, `thermometer_degc` (n,) the
+    one that the chip's own thermometer measures. `sensitivity` (counts per unit, a number or (n, 1)), `lowest` and
+    `highest` code and `step` between codes belong to the converter; `rate_hz` is its rate of new codes. `white_rms`,
+    (3,) or (n, 3), is the standard deviation along each axis of the part of the noise that is independent from one
+    reading to the next.
     """
 
     first: int

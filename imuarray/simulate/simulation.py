@@ -40,7 +40,7 @@ _FRAMES_LIKE_HZ = 50.0
 
 @dataclass(frozen=True)
 class Plan:
-    """The sensors and the times at which they are read: what a simulation and a recording of the same run have in
+    """The sensors and the times at which they are read. A simulation and a recording of the same run have them in
     common.
     """
 
@@ -63,8 +63,8 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
 
 
 def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
-    """Return the plan of a recorded log: its sensors (or `only` these), read at the recorded times; without chips'
-    thermometers whose scale is not known.
+    """Return the plan of a recorded log: its sensors (or `only` these), read at the recorded times. The readings of a
+    chip's thermometer with an unknown scale are omitted.
 
     LogError for a sensor that the log does not have.
     """
@@ -96,8 +96,8 @@ class Simulation:
         boot: int = 0,
         dtype: npt.DTypeLike = np.float64,
     ) -> None:
-        """Simulate a run. `effects` are by sensor, in any order; a sensor without an entry is ideal. `boot` is the
-        number of the run: another boot is the same units switched on again.
+        """Simulate a run. `effects` are the effects of each sensor, in any order; a sensor without an entry is ideal.
+        `boot` is the number of the run: at another boot the same units are switched on again.
         """
         self.plan = plan
         self.motion = motion

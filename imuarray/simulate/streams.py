@@ -1,8 +1,8 @@
-"""Random numbers that can be generated for any stretch of rows alone, independent of earlier requests.
+"""Random numbers, of which any stretch of rows can be generated alone, independent of earlier requests.
 
-Every stream is named (seed, boot, sensor, effect, purpose): leaving one effect out changes no draw of any other, and a
-run is another `boot` of the same units. A stream is cut into chunks of `CHUNK` rows, each with its own generator
-(SFC64, seeded by hashing its name and number), so row 10**9 costs no more than row 0.
+Every stream is named (seed, boot, sensor, effect, purpose): omitting one effect changes no draw of any other, and a run
+is another `boot` of the same units. A stream is cut into chunks of `CHUNK` rows, each with its own generator (SFC64,
+seeded by hashing its name and number), so row 10**9 costs no more than row 0.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ Value = TypeVar("Value")
 
 
 class DrawMemory:
-    """The latest results of draws, up to so many bytes, for many simulations of the same units: models that are
-    compared by the same random numbers need not draw them again.
+    """A cache of the latest results of draws, limited in bytes, for many simulations of the same units: models that are
+    compared with the same random numbers do not draw them again.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -41,8 +41,8 @@ class DrawMemory:
         self._lock = Lock()
 
     def recall(self, key: Hashable, make: Callable[[], Value], size: Callable[[Value], int]) -> Value:
-        """Return the result of `make`, or the one that was returned before for this key, which contains everything that
-        it depends on; `size` is the number of bytes of a result. Results are not written to.
+        """Return the result of `make`, or the cached one for this key, which contains everything that the result
+        depends on. `size` returns the number of bytes of a result. Results must not be modified.
         """
         with self._lock:
             if key in self._values:
@@ -82,8 +82,8 @@ class Stream:
         return self._rows(self._normal_chunk, start, stop)
 
     def uniform(self, start: int, stop: int) -> Reals:
-        """Return (stop - start, width) independent numbers in [0, 1); read-only. Take `normal` or `uniform` of one
-        stream, not both.
+        """Return (stop - start, width) independent numbers in [0, 1); read-only. Use either `normal` or `uniform` of
+        one stream, not both.
         """
         return self._rows(self._uniform_chunk, start, stop)
 
@@ -144,8 +144,8 @@ class Stream:
 
 
 class Streams:
-    """All streams of one simulation: `seed` is the key of the units and of everything else, `boot` that of everything
-    that differs from run to run.
+    """All streams of one simulation: the draws of the units depend on `seed`, those that differ from run to run on
+    `seed` and `boot`.
     """
 
     def __init__(self, seed: int, boot: int = 0, memory: DrawMemory | None = None) -> None:

@@ -1,9 +1,9 @@
-"""Times at which each row of each sensor is read: by a poll loop, by a chip's own queue, or as in a given log.
+"""Times at which each row of each sensor is read: by a poll loop, by a chip's own queue, or or as in a given log.
 
 A poll loop is like the recorder's. A frame visits the segments of the bus in one order and the next frame in the
-reverse order (one switch of the multiplexer a frame), so that a sensor's intervals are alternately a little shorter and
-a little longer. A burst takes its clocks at 400 kHz. The times of a log can be used with or without the rows that it
-lost.
+reverse order (this saves one switch of the multiplexer per frame), so that a sensor's intervals are alternately
+slightly shorter and slightly longer. The duration of a burst is its number of clocks at 400 kHz. The times of a log can
+be used with or without the rows that it lost.
 """
 
 from __future__ import annotations
@@ -33,38 +33,36 @@ _BURST_CLOCKS = {chip: 9 * (spec.burst_bytes + 3) if spec.burst_bytes else 0 for
 """SCL clocks of a burst as the drivers read it: nine per byte, after two addresses and a register (BUS-01)."""
 
 _SOON = 1.1
-"""Margin for the different ways there and back: a slow chip is left out of a frame if the next one is soon enough with
-this margin.
+"""Margin, in frames, for the different delays in forward and reverse order: a slow chip is not read in a frame if it
+can wait for the next frame with this margin.
 """
 _SINGLE = 1024
 _PIECE, _PIECES = 16384, 16
 """Rows of a recorded sensor whose stamps are read at once, and the number of such pieces that are kept: 2 MB."""
 
 _HOLE = 1.5
-"""Ratio to the usual interval below which an interval has no room for another row."""
+"""Ratio to the usual interval below which an interval is too short for a missing row."""
 
 _TYPICAL = 1024
-"""Number of intervals below which a block does not change the usual interval."""
+"""Minimum number of intervals of a block for which the usual interval is estimated again."""
 
 _LEAST_REGULAR, _REGULAR = 200, 0.9
-"""Number of intervals, and the share of them within `_OFF_GRID` of the usual one, from which a record counts as
-regular.
-"""
+"""Minimum number of intervals, and minimum share of them within `_OFF_GRID` of the usual one, of a regular record."""
 
 _OFF_GRID = 0.2
 """Largest deviation of an interval from a whole number of usual intervals, in usual intervals, if rows are missing."""
 
 _LONGEST_SKIP = 20.5
-"""Length of a gap in usual intervals above which it is undecided whether an unflagged gap fits the period, and above
-which the recorder paused: the rate of the rows is that between pauses.
+"""Length of a gap in usual intervals above which it cannot be decided whether an unflagged gap fits the period. A
+longer gap is a pause of the recorder: the rate of the rows is that between pauses.
 """
 
 _AROUND = 2
-"""Number of intervals on either side that may compensate for a late row."""
+"""Number of intervals on either side of a long one in which a shorter one shows that a row was late and not lost."""
 
 _LEAST_BEAT, _EVEN = 3, 0.5
-"""Minimum number of distances between gaps, and their coefficient of variation, below which gaps are evenly spaced; the
-coefficient is 1 for independent gaps.
+"""Minimum number of distances between gaps, and the coefficient of variation of these distances below which gaps are
+evenly spaced; the coefficient is 1 for independent gaps.
 """
 
 
@@ -85,8 +83,8 @@ class Timeline(Protocol):
 
 @dataclass(frozen=True)
 class PollTimes:
-    """A row every `every` frames of `period_ns`, from frame `first` on, with fixed delays after the start of even and
-    of odd frames.
+    """The times of a polled sensor: one row every `every` frames of `period_ns`, from frame `first` on, with one fixed
+    delay after the start of even frames and another one after the start of odd frames.
     """
 
     rows: int
@@ -112,7 +110,7 @@ class PollTimes:
 
 @dataclass(frozen=True)
 class QueueTiming:
-    """A row for every sample of a chip whose queue is drained, at its data rate."""
+    """The times of a chip whose queue is read: one row for every sample, at its data rate."""
 
     rows: int
     rows_per_s: float
@@ -239,11 +237,13 @@ class GapFilledTimes:
 def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
     """Return the rows of a recorded sensor and those that it lost.
 
-    Rows are lost before one with flag 8 where the interval is `_HOLE` times the usual one or longer; and, since not
-    every recorder sets that flag, in gaps of a regular record that fit its period and that no early row makes up for.
-    Gaps without the flag at even distances are the beat of the chip's clock with the recorder's: nothing is lost there.
+    Rows are lost before a row with flag 8 if the interval is at least `_HOLE` times the usual one. Because not every
+    recorder sets that flag, rows are also lost in gaps of a regular record that are a whole number of its periods and
+    are not compensated by an early row nearby. Gaps without the flag at even distances are the beat of the chip's clock
+    with the recorder's clock: no row is lost there.
 
-    Usual is the median of the intervals without the flag, in 65536 rows. Reads times and flags once, a block at a time.
+    The usual interval is the median of the intervals without the flag, in blocks of 65536 rows. Reads times and flags
+    once, a block at a time.
     """
     recorded = LogTimes(sensor)
     holes = list(_holes(sensor)) if recorded.rows > 1 else []
@@ -280,8 +280,9 @@ def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
 
 
 def _are_skips(periods: Floats) -> Booleans:
-    """Return True for intervals (n,) of a regular record, in usual intervals, in which rows are missing: they are close
-    to a whole number of periods, and no shorter interval is nearby, which would follow a row that is only late.
+    """Return (n,) whether rows are missing in these intervals of a regular record, in units of the usual interval: the
+    interval is close to a whole number of periods, and no shorter interval is nearby, as there would be after a row
+    that is only late.
     """
     near = sliding_window_view(np.pad(periods, _AROUND, constant_values=1.0), 2 * _AROUND + 1).min(axis=1)
     fits = np.abs(periods - np.rint(periods)) <= _OFF_GRID

@@ -40,21 +40,21 @@ class Bandwidth(Effect):
     With 2 `poles` it is a Butterworth filter, which resembles the output stage of a chip more closely: a = sqrt(2) pi
     cutoff, correlation exp(-a t) (cos a t + sin a t) after a time t, delay 1 / a.
 
-    A digital filter behind a converter that samples at `sampled_hz` passes white noise up to half that rate only
-    (infinite: no limit). The correlations are those of that part of the filter's response; the 8 rows before each
-    row reproduce them (Yule and Walker). A `warped` one (1) is designed by the bilinear transform, as most are: its
-    response falls to zero at half the rate.
+    A digital filter behind a converter that samples at `sampled_hz` passes white noise only up to half that rate
+    (infinite: no limit). The correlations follow from that part of the filter's response; each row is predicted from
+    the 8 rows before it so that they are reproduced (Yule and Walker). A `warped` filter (1) is designed by the
+    bilinear transform, as most are: its response falls to zero at half the rate.
 
     If a chip is polled faster than it samples, the noise depends on the previous sample, not on the previous row: rows
     that repeat a sample repeat its noise. If it is polled more slowly, consecutive rows are one or two samples apart
     (or up to four); the filter also processes the samples that no row reads.
 
-    `noise_share` of the noise's rms passes the filter. For a filter that is always present the noise is measured behind
-    it, so the share is 1; a filter that starts at some moment reduces the noise. `signal_only` (1) leaves the noise
-    white, for rows so much slower than the filter that only its delay is visible.
+    `noise_share` of the noise's rms passes the filter. If a filter is always present, the noise is measured behind it,
+    so the share is 1. A filter that starts at some instant reduces the noise. `signal_only` (1) leaves the noise white;
+    it is meant for rows that are so slow, compared with the filter, that only its delay is visible.
 
     No data sheet prints the response of a chip's filter. `correlations` of the noise at lags of 1, 2, ... samples, as
-    measured, replace those of the filter; later samples are predicted from as many earlier ones.
+    measured, replace those of the filter; each later sample is predicted from the same number of earlier ones.
     """
 
     name: ClassVar[str] = "bandwidth"
@@ -92,8 +92,8 @@ class Bandwidth(Effect):
         return max(rows, _rows_remembered(_noise_filter(decay, self._response)[1]))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Filter the noise, which is stationary from the first row on, and the signal, which is taken as constant
-        before it.
+        """Filter the noise, which is stationary from the first row on, and the signal, which is assumed to be constant
+        before the first row.
         """
         if math.isinf(self.cutoff_hz):
             return analog
@@ -110,8 +110,8 @@ class Bandwidth(Effect):
         return replace(analog, value=value, noise=self._of_every_sample(analog, samples, at))
 
     def _of_every_sample(self, analog: Analog, samples: Integers, at: Place) -> Reals:
-        """Return the noise (n, 3) of rows that are `samples` (n - 1,) of the chip apart: 0 repeats one, and after
-        several there are samples that no row reads.
+        """Return the noise (n, 3) of rows whose intervals are `samples` (n - 1,) of the chip: 0 repeats the previous
+        sample; with 2 or more, no row reads the samples in between.
         """
         most = math.ceil(analog.rate_hz / at.rows_per_s)
         steps = np.append(0, np.minimum(samples, most + 1))
@@ -130,7 +130,7 @@ class Bandwidth(Effect):
         return np.ascontiguousarray(self._coloured(white, decay)[places])
 
     def _coloured(self, white: Reals, decay: float) -> Reals:
-        """Return the noise (n, 3) after the filter; consecutive ones are `decay` time constants apart."""
+        """Return the noise (n, 3) after the filter; consecutive samples are `decay` time constants apart."""
         from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
         numerator, denominator = (
@@ -176,8 +176,9 @@ def two_pole_cutoff_hz(delay_s: float) -> float:
 
 
 class _Response(NamedTuple):
-    """The squared response of a filter with so many `poles`: of noise up to `band` cutoffs (infinite: all), which is
-    half the rate of the samples; it may be `is_warped` so that it falls to zero there (bilinear transform).
+    """The squared response of a filter with this number of `poles` to noise up to `band` cutoffs (infinite: to all
+    noise); `band` is half the rate of the samples. If `is_warped`, the response falls to zero there (bilinear
+    transform).
     """
 
     poles: float
@@ -185,7 +186,7 @@ class _Response(NamedTuple):
     is_warped: bool
 
     def power(self, over_cutoff: Reals) -> Reals:
-        """Return the squared response at these frequencies, over the cutoff and below `band`."""
+        """Return the squared response at these frequencies, which are divided by the cutoff and below `band`."""
         if self.is_warped:
             over_cutoff = np.tan(math.pi / 2 * over_cutoff / self.band) / math.tan(math.pi / 2 / self.band)
         return np.asarray(1 / (1 + over_cutoff ** (2 * self.poles)))
@@ -193,8 +194,8 @@ class _Response(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def _correlation(decay: float, response: _Response) -> float:
-    """Return the correlation of the filtered noise at a lag of `decay` time constants: for noise that is band-limited,
-    the cosine transform of the squared response.
+    """Return the correlation of the filtered noise at a lag of `decay` time constants. For band-limited noise it is the
+    cosine transform of the squared response.
     """
     if math.isinf(response.band):
         fade = math.exp(-decay)
@@ -221,7 +222,7 @@ def _rows_remembered(denominator: Reals) -> int:
 
 
 def has_correlations(correlations: Sequence[float]) -> bool:
-    """Return whether a noise can have these correlations at lags 1, 2, ..."""
+    """Return whether noise with these correlations at lags 1, 2, ... can exist."""
     from scipy.linalg import toeplitz  # imported late because SciPy takes long to load
 
     return bool(np.linalg.eigvalsh(toeplitz([1.0, *correlations]))[0] > _FINE)
@@ -243,8 +244,8 @@ def _prediction_filter(correlations: tuple[float, ...]) -> tuple[Reals, Reals]:
 def _noise_filter(decay: float, response: _Response) -> tuple[Reals, Reals]:
     """Return (numerator, denominator) of a filter that turns white noise into noise after the chip's filter, of the
     same rms, row by row. Its poles are those of the chip's filter; with two poles there is also a zero, which follows
-    from the first three correlations. A warped filter whose samples are the rows is the filter itself; of any other
-    digital one the noise is predicted from the previous rows.
+    from the first three correlations. If the filter is warped and its samples are the rows, it is returned itself; for
+    any other digital filter, the noise is predicted from the previous rows.
     """
     if response.is_warped and abs(decay * math.sqrt(response.poles) * response.band / math.pi - 1) < AT_ITS_RATE:
         return _bilinear_filter(response)

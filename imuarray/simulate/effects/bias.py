@@ -17,11 +17,12 @@ from imuarray.simulate.streams import CHUNK
 
 @dataclass(frozen=True)
 class Bias(Effect):
-    """y = x + offset, the same in every run, or in every run but the first `from_boot` ones: after a fall, say.
+    """y = x + offset, the same in every run, or in every run except the first `from_boot` ones (for example after a
+    fall).
 
     `offset` in the sensor's unit: zero-g and zero-rate levels of BMA-112, BMA-113, ADX-60, ADX-61 and L3G-70; the
-    paper's Tables 3 and 4 for its own 27 axes. What changes from boot to boot is `turn_on_bias`, what changes with
-    temperature `thermal_bias`. In data: the mean of two opposite faces.
+    paper's Tables 3 and 4 list those of its 27 axes. The part that changes from boot to boot is `turn_on_bias`, the
+    part that changes with temperature is `thermal_bias`. In data: the mean of two opposite faces.
     """
 
     name: ClassVar[str] = "bias"
@@ -41,7 +42,7 @@ class TurnOnBias(Effect):
     """y = x + b, b ~ N(0, rms^2) drawn for each axis once a boot.
 
     `rms` in the sensor's unit. The spread of the means of 15 runs in the left half of the paper's Table 11: 2.4 to 7.7
-    times the in-run variation for its gyroscopes. In data: run means that differ by more than what is within runs
+    times the in-run variation for its gyroscopes. In data: run means that differ by more than the variation within runs
     explains.
     """
 
@@ -61,8 +62,8 @@ class TurnOnBias(Effect):
 class BistableBias(Effect):
     """y = x + offset for a whole run, in a run with this probability, all three axes together.
 
-    `offset` in the sensor's unit. The paper's Gyro3 comes up with one of two sets of biases, (-13, 6, -2) LSB apart
-    (Table 7). In data: run means in two groups, the same ones on all axes.
+    `offset` in the sensor's unit. At each power-on, the paper's Gyro3 has one of two sets of biases that differ by
+    (-13, 6, -2) LSB (Table 7). In data: run means in two groups, the same ones on all axes.
     """
 
     name: ClassVar[str] = "bistable_bias"
@@ -87,13 +88,14 @@ slowest.
 class BiasInstability(Effect):
     """y = x + b(t), b first-order Gauss-Markov: stationary, N(0, rms^2), correlation exp(-|t| / time_constant).
 
-    `rms` in the sensor's unit, `time_constant_s` in s; axes are independent. It stands for the in-run variation of the
-    paper's Table 5 and the right half of its Table 11. In data: the Allan deviation leaves its slope of -1/2; the
-    process's own peaks with 0.62 rms at 1.9 time constants (IEEE Std 952, Annex C).
+    `rms` in the sensor's unit, `time_constant_s` in s; axes are independent. It represents the in-run variation in the
+    paper's Table 5 and in the right half of its Table 11. In data: the Allan deviation departs from its slope of -1/2;
+    that of the process alone has a peak of 0.62 rms at 1.9 time constants (IEEE Std 952, Annex C).
 
-    With `fastest_time_constant_s` it is flicker noise (1/f): n processes of variance rms^2 / n, time constants by a
-    factor of 4 from `time_constant_s` down to that. In data: an Allan deviation that is flat, rms / sqrt(n), between
-    the fastest and the slowest (IEEE Std 952, Annex C, bias instability). 0: a single process.
+    With `fastest_time_constant_s` it is flicker noise (1/f): n processes of variance rms^2 / n with time constants from
+    `time_constant_s` down to `fastest_time_constant_s`, each a factor of 4 below the previous one. In data: an Allan
+    deviation that is flat, rms / sqrt(n), between the fastest and the slowest (IEEE Std 952, Annex C, bias
+    instability). 0: a single process.
     """
 
     name: ClassVar[str] = "bias_instability"
@@ -149,11 +151,12 @@ class PopcornNoise(Effect):
     """y = x + amplitude * (u - high_share), where u of each axis jumps between 0 and 1: a random telegraph signal.
 
     `amplitude` is the distance from the lower to the upper level in the sensor's unit (may be negative),
-    `switches_per_s` the mean number of jumps per second, `high_share` the share of the time at the upper level. (A trap
-    may hold a charge for a long time, however soon it captures one.) Times at either level are exponential, axes are
-    independent. Mean 0, autocovariance amplitude^2 p (1 - p) exp(-switches_per_s |t| / (2 p (1 - p))), p the share
-    (Machlup, J. Appl. Phys. 25, 1954). In data: two peaks in the histogram of smoothed readings, sized by their shares;
-    its spectrum is that of Gauss-Markov noise.
+    `switches_per_s` the mean number of jumps per second, `high_share` the share of the time at the upper level. (The
+    share need not be one half: a trap may capture a charge quickly and hold it for a long time.) Times at either level
+    are exponentially distributed; axes are independent. Mean 0, autocovariance amplitude^2 p (1 - p)
+    exp(-switches_per_s |t| / (2 p (1 - p))), p the share (Machlup, J. Appl. Phys. 25, 1954). In data: two peaks in the
+    histogram of smoothed readings, with areas in proportion to their shares; the spectrum is that of Gauss-Markov
+    noise.
 
     The level is drawn again, independent of its previous value, at the instants of a Poisson process. The number of
     these instants in each chunk of rows, and the level after the last one, come from separate random streams. The level
@@ -220,10 +223,10 @@ class CommonMode(Effect):
 
     `rms` in the sensor's unit, `time_constant_s` in s: correlation exp(-|t| / time_constant). `axes_shared` is the
     share of the variance that the three axes have in common (0: independent; 1: one process, such as a supply voltage
-    that affects all axes). The effect describes what supply and environment do alike to all units of one design, which
-    anti-parallel mounting cancels (the paper's Section 2.1), or to all sensors on one supply. Sensors share it row by
-    row and therefore must have equal rates. In data: slow drift that correlates between sensors along their own axes,
-    not along the box axes.
+    that affects all axes). The effect describes the influence of supply and environment that is the same for all units
+    of one design, which anti-parallel mounting cancels (the paper's Section 2.1), or for all sensors on one supply.
+    Sensors share the process row by row and must therefore have equal rates. In data: slow drift that correlates
+    between sensors along their own axes, not along the box axes.
     """
 
     name: ClassVar[str] = "common_mode"

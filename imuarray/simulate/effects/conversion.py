@@ -46,7 +46,7 @@ class OdrError(Effect):
                 require(name, value, 1e-3, 1e6)
 
     def lookback(self, at: Place) -> int:
-        """Return the number of rows that may repeat one reading, plus one."""
+        """Return the largest number of rows that repeat one reading, plus one."""
         set_hz = at.sensor.rate_hz if math.isnan(self.rate_hz) and self.clock_ratio != 1.0 else self.rate_hz
         real_hz = set_hz * self.clock_ratio
         return math.ceil(at.rows_per_s / real_hz) + 1 if 0 < real_hz < at.rows_per_s else 0
@@ -105,11 +105,11 @@ class RangeReset(Effect):
     (PAP-01). In data: everything is scaled by the ratio of the sensitivities, and the noise by another ratio; if the
     onset is within the run, this starts from one row to the next.
 
-    If individual stretches are known, exactly these are reset: from each of `moments_s`, by the log's clock, for the
-    time in `lengths_s`, in the run with that number in `runs`. A logger that reads back the configuration flags the
-    rows of the last `doubts_s` before the reset as suspect, and flags the first row after the chip is set up again. For
-    `blanks_s` from each moment on (0 by default) the chip has not made a reading yet: it delivers zeros that are not
-    fresh, also from its thermometer.
+    If individual stretches are known, the range is reset in exactly these: each begins at one of `moments_s` on the
+    log's clock, lasts for the time in `lengths_s`, and is in the run whose number is in `runs`. A logger that reads
+    back the configuration flags the rows of the last `doubts_s` before it detects the reset as suspect, and flags the
+    first row after the chip is set up again. For `blanks_s` from each moment on (0 by default) the chip has not made a
+    reading yet: it delivers zeros that are not fresh; so does its thermometer.
     """
 
     name: ClassVar[str] = "range_reset"
@@ -239,10 +239,11 @@ class Quantisation(Effect):
     1600 Hz and above (ADX-47), steps of four in a BMA180 that is read with 12 bits (BMA-61). If the converter's step is
     coarser already, codes are multiples of both. In data: codes that never occur; with noise of less than half a step,
     readings that are constant and then jump; with more noise, rounding noise of step / sqrt(12) rms. A dead bit (a line
-    that is shorted to ground) removes every other stretch of 2^bit codes: readings from it are a stretch too low. Codes
-    are missing before a carry if the converter's capacitor (or resistor) for the bit that is carried to is smaller than
-    those of all lower bits together by more than a count: a differential nonlinearity of -1 (IEEE Std 1241). An offset
-    that the chip adds after its converter, such as a trim (BMA-46), moves carries away from multiples.
+    that is shorted to ground) removes every other stretch of 2^bit codes: readings in a removed stretch are too low by
+    2^bit. Codes are missing before a carry if the converter's capacitor (or resistor) of the bit that is set by the
+    carry is smaller, by more than a count, than those of all lower bits together: a differential nonlinearity of -1
+    (IEEE Std 1241). An offset that the chip adds after its converter, such as a trim (BMA-46), moves carries away from
+    multiples.
     """
 
     name: ClassVar[str] = "quantisation"
@@ -292,14 +293,13 @@ class Quantisation(Effect):
 
 @dataclass(frozen=True)
 class Saturation(Effect):
-    """y = x within [centre - limit, centre + limit], the nearer end of it outside; x is the signal of an axis with its
-    noise.
+    """y = x within [centre - limit, centre + limit], and the nearer end of this interval outside it; x is the signal of
+    an axis including its noise.
 
-    `limit` and `centre` of each axis in the sensor's unit. An offset that is added behind the element that gives out
-    moves both ends. The end of the code span itself (BMA-60, ADX-46; L3G-40 to L3G-42 print
-    spans 15 % beyond the range) belongs to the converter; this is the element or its amplifier giving out earlier, the
-    "clipped" signal of the paper's section 2.3. In data: a flat top at codes that aren't the last ones, so that no flag
-    tells.
+    `limit` and `centre` of each axis in the sensor's unit. An offset that is added after the saturating element moves
+    both ends. The end of the code span itself (BMA-60, ADX-46; L3G-40 to L3G-42 print spans 15 % beyond the range)
+    belongs to the converter; this effect is an element or an amplifier that saturates earlier, the "clipped" signal of
+    the paper's section 2.3. In data: a flat top at codes that are not the last ones, so that no flag reports it.
     """
 
     name: ClassVar[str] = "saturation"
@@ -314,7 +314,7 @@ class Saturation(Effect):
             require("limit", limit, 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Clip the sum of signal and noise; rows within the limit do not change in any bit."""
+        """Clip the sum of signal and noise; rows within the limit are bit by bit the same."""
         total = analog.value + analog.noise
         limit, centre = np.array(self.limit, total.dtype), np.array(self.centre, total.dtype)
         beyond = np.abs(total - centre) > limit
@@ -326,7 +326,7 @@ class Saturation(Effect):
 
 
 LONGEST = 256
-"""Limit of consecutive rows that show one reading, however often the threshold is crossed."""
+"""Maximum number of consecutive rows that show the same reading, however often the threshold is crossed."""
 
 _DENSE = 1.5
 """Interval of rows, in periods of the chip's readings, below which rows show every reading."""
@@ -349,8 +349,8 @@ class AdaptiveRange(Effect):
     hold_s: float = scalar(0.0, low=0.0, high=1.0)
 
     def lookback(self, at: Place) -> int:
-        """Return the largest number of rows that affect a stretch: a run of held rows, the crossing before it, and one
-        row more.
+        """Return the number of rows before a stretch that can affect it: a run of held rows, the crossing before it,
+        and one more row.
         """
         if not self._acts:
             return 0

@@ -15,7 +15,8 @@ from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 @dataclass(frozen=True)
 class Tone(Effect):
-    """y = x + amplitude sin(2 pi (frequency + drift t / 2) t + phase), t the instant at which the chip really samples.
+    """y = x + amplitude sin(2 pi (frequency + drift t / 2) t + phase), t the instant at which the chip actually
+    samples.
 
     `amplitude` in the sensor's unit, `phase_deg` at the log's epoch (nan: drawn at each boot, a different one for each
     frequency). At the log's epoch the frequency is `frequency_hz`, with a standard deviation of `frequency_spread_hz`
@@ -69,8 +70,8 @@ class WhiteNoise(Effect):
     """y = x + w, w ~ N(0, rms^2), independent from row to row and axis to axis.
 
     `rms` in the sensor's unit: the standard deviation of single readings at rest, as data sheets (BMA-110, ADX-67,
-    L3G-74, once multiplied by the root of the bandwidth) and the paper's Tables 9 and 10 give it. `bandwidth` shapes
-    this noise without weakening it. In data: a flat spectrum, an Allan deviation of slope -1/2.
+    L3G-74, after multiplication by the root of the bandwidth) and the paper's Tables 9 and 10 give it. `bandwidth`
+    shapes this noise without weakening it. In data: a flat spectrum, an Allan deviation of slope -1/2.
     """
 
     name: ClassVar[str] = "white_noise"

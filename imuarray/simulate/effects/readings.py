@@ -21,14 +21,14 @@ _RARE = 1e-12
 class StaleSamples(Effect):
     """With `probability` a reading repeats the previous one: counts and temperature, not fresh.
 
-    Repetitions of repetitions show the last reading that was not a repetition. Chains are cut at a length that all but
-    10^-12 of them stay below: a row that would repeat for longer keeps its own reading. In reality, a register that is
-    locked while a conversion ends (L3G-50, HMC-33) or a poll that occasionally overtakes the chip causes this. In data:
-    identical triads, because all three axes repeat together; the lag-1 correlation of the noise rises to about
-    `probability`.
+    A row that repeats a repetition shows the last reading that was not one. Chains of repetitions are limited to a
+    length that only a share of 10^-12 of them would exceed: a row beyond it keeps its own reading. In reality, a
+    register that is locked while a conversion ends (L3G-50, HMC-33) or a poll that occasionally overtakes the chip
+    causes this. In data: identical triads, because all three axes repeat together; the lag-1 correlation of the noise
+    rises to about `probability`.
 
-    With more than one of `rows`, repetitions come in bursts of so many rows on average, geometrically distributed, as
-    from a bus that is in trouble for a while: each reading begins one with `probability` / `rows`.
+    If `rows` is above 1, repetitions occur in bursts with this mean length in rows, geometrically distributed, as from
+    a bus with a temporary fault; each reading begins a burst with the probability `probability` / `rows`.
     """
 
     name: ClassVar[str] = "stale_samples"
@@ -100,9 +100,9 @@ class Glitches(Effect):
     readings are off by multiples of 256 (BMA180: 64) counts, and only if neighbours differ in the high byte; for a
     gyroscope at rest, -1 is a normal small reading.
 
-    If the corrupted readings are known, exactly these are: the reading due at each of `moments_s`, in seconds since the
-    log's epoch, of the run with that number in `runs`, is off by three values of `jumps`, one for each axis, in the
-    sensor's unit.
+    If the corrupted readings are known, exactly these are corrupted: the reading that is due at each of `moments_s`, in
+    seconds since the log's epoch, in the run whose number is in `runs`. Its error is three values of `jumps`, one for
+    each axis, in the sensor's unit.
     """
 
     name: ClassVar[str] = "glitches"
@@ -131,7 +131,7 @@ class Glitches(Effect):
         return tuple(any(self.jumps[axis::3]) for axis in range(3))
 
     def lookback(self, at: Place) -> int:
-        """Return 1 if readings are torn or glitches have given moments, because these depend on the previous row."""
+        """Return 1 if readings are torn or `moments_s` are given, because these depend on the previous row."""
         if self.moments_s:
             return 1
         return 1 if self.probability and self.kind == "torn" else 0
@@ -179,21 +179,22 @@ STUCK_KINDS = ("stale", "new")
 
 @dataclass(frozen=True)
 class Stuck(Effect):
-    """A stuck sensor: from `onset_s` for `duration_s` seconds every reading repeats the last one before, including the
-    temperature, and is not fresh. If `every_s` is given this recurs: the sensor works for that time on average,
-    exponentially distributed, and is then stuck again.
+    """A stuck sensor: from `onset_s` on, for `duration_s` seconds, every reading repeats the last one before that time,
+    including the temperature, and is not fresh. If `every_s` is given this recurs: the sensor works for that time on
+    average, exponentially distributed, and is then stuck again.
 
     Rows are counted at their nominal rate, row 0 at 0 s; with an onset of 0 the first reading stays. A chip is stuck
     when its registers are locked (L3G-51: one byte of a pair unread; HMC-33: some of six; BMA-100: only high bytes
     read), in standby (ADX-38), or when it hangs. If only its converter is stuck, the chip marks the same reading as new
     (`kind` "new" instead of "stale"). In data: long runs of identical triads.
 
-    If individual stretches are known, exactly these are stuck: from each of `moments_s`, by the log's clock, for the
-    time in `lengths_s`, in the run with that number in `runs`. If their `readings` are known too, three values
-    for each stretch in the sensor's unit, a stretch begins with the reading that is repeated.
+    If individual stretches are known, the sensor is stuck in exactly these: each begins at one of `moments_s` on the
+    log's clock, lasts for the time in `lengths_s`, and is in the run whose number is in `runs`. If the `readings` are
+    also known (three values for each stretch, in the sensor's unit), each stretch shows its reading from its first row
+    on.
 
-    If `stuck_axes` are given (0, 1, 2), only these are stuck (a broken bond, a register of one axis that is locked):
-    the others, the temperature and the chip's flags are as usual.
+    If `stuck_axes` are given (0, 1, 2), only these are stuck, as after a broken bond or when the register of one axis
+    is locked: the other axes, the temperature and the chip's flags are as usual.
     """
 
     name: ClassVar[str] = "stuck"
@@ -223,11 +224,11 @@ class Stuck(Effect):
             raise ValueError(f"readings: {len(self.readings)}; none, or three for each of moments_s, are required")
 
     def active_axes(self) -> tuple[bool, ...]:
-        """Return (3,) which axes are stuck if not all are."""
+        """Return (3,) whether each axis is stuck, if `stuck_axes` are given."""
         return tuple(axis in self.stuck_axes for axis in range(3))
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Replace readings while the sensor is stuck by the last one before."""
+        """Replace readings while the sensor is stuck by the last reading before that."""
         first, stop, moving = codes.first, codes.first + len(codes.counts), codes
         for begin, end, reading in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:
@@ -240,7 +241,7 @@ class Stuck(Effect):
         return codes if not self.stuck_axes else self._of_axes(moving, codes)
 
     def _of_axes(self, moving: Codes, stuck: Codes) -> Codes:
-        """Return the codes with the `stuck_axes` of the stuck ones."""
+        """Return the codes `moving` with the `stuck_axes` taken from `stuck`."""
         counts = moving.counts.copy()
         places = [int(axis) for axis in self.stuck_axes]
         counts[:, places] = stuck.counts[:, places]

@@ -18,8 +18,8 @@ from imuarray.simulate.signal import Analog, Felt, Place, Triple, per_row
 class SizeEffect(Effect):
     """force = force at the origin + angular_acceleration x r + rate x (rate x r), r the sensor's place in the box.
 
-    `position_mm` in the box frame; rigid-body kinematics. In data: while the box turns, accelerometers differ by what
-    grows with their distance and the square of the rate.
+    `position_mm` in the box frame; rigid-body kinematics. In data: while the box turns, accelerometers differ by an
+    amount that grows with their distance and with the square of the rate.
     """
 
     name: ClassVar[str] = "size_effect"
@@ -52,7 +52,7 @@ _NOMINAL = "+X+Y+Z"
 
 @dataclass(frozen=True)
 class AxisError(Effect):
-    """y_k = s_k x_a(k): the sensor's axis k is in truth the signed axis s_k, a(k) of the sensor as configured.
+    """y_k = s_k x_a(k): the sensor's axis k is actually axis a(k), with the sign s_k, of the sensor as configured.
 
     `axes`, such as "+Y+X-Z", gives the true directions of x, y and z. Left-handed values are allowed, since a forgotten
     minus sign produces them. Everything that acts along the sensor's axes, including specific force on a gyroscope, is
@@ -94,7 +94,7 @@ class Misalignment(Effect):
     `angles_deg` in degrees, in the order xy, xz, yx, yz, zx, zy: by how much axis i leans towards axis j. Angles of
     opposite sign for ij and ji turn the triad as a whole (alignment to the package: BMA-119, ADX-66; of the boards:
     less than 5 degrees, the paper's section 5.2.1), equal ones make it oblique (cross-axis sensitivity: BMA-118,
-    ADX-66). In data: on each face a share sin(angle) of gravity in the axes that should read none.
+    ADX-66). In data: on each face, a share sin(angle) of gravity in the axes that should read 0.
     """
 
     name: ClassVar[str] = "misalignment"
@@ -124,12 +124,12 @@ class Misalignment(Effect):
 
 @dataclass(frozen=True)
 class Nonlinearity(Effect):
-    """y = x + quadratic x^2 + cubic x^3, each axis for itself, x in the sensor's unit.
+    """y = x + quadratic x^2 + cubic x^3 for each axis separately, x in the sensor's unit.
 
     `quadratic` per unit, `cubic` per unit squared. Data sheets bound the deviation from the best straight line, as a
-    share of full scale: BMA-117, ADX-65, L3G-73. In data: the two readings of an axis along and against gravity have a
-    mean that isn't the bias (quadratic, which opposed sensors of one design cancel: the paper's section 2.1), scale
-    grows or falls with the range of motion (cubic), vibration shifts the mean (quadratic).
+    share of full scale: BMA-117, ADX-65, L3G-73. In data: the mean of the two readings of an axis along and against
+    gravity is not the bias (quadratic; opposed sensors of one design cancel this, the paper's section 2.1); the scale
+    factor grows or falls with the range of motion (cubic); vibration shifts the mean (quadratic).
     """
 
     name: ClassVar[str] = "nonlinearity"
@@ -147,11 +147,12 @@ class Nonlinearity(Effect):
 
 @dataclass(frozen=True)
 class Scale(Effect):
-    """y = x (1 + error), each axis for itself.
+    """y = x (1 + error) for each axis separately.
 
-    `error` as a share of one: 0.01 reads one per cent too much. Typical ones: 1 % (ADX-63), 2 and 3 % (the tolerances
-    beside BMA-70 to BMA-76); L3G-75 names none. The paper's Table 3 has -1.7 to +2.9 % for its eighteen accelerometer
-    axes. In data: opposite faces differ by more or less than 2 g, a known turn integrates to another angle.
+    `error` is relative: with 0.01 the readings are one per cent too large. Typical ones: 1 % (ADX-63), 2 and 3 % (the
+    tolerances beside BMA-70 to BMA-76); L3G-75 states none. The paper's Table 3 has -1.7 to +2.9 % for its eighteen
+    accelerometer axes. In data: opposite faces differ by more or less than 2 g, and the integral over a known turn is
+    not its angle.
     """
 
     name: ClassVar[str] = "scale"
@@ -171,8 +172,9 @@ class GSensitivity(Effect):
     """y = x + response f, f the specific force in g along the sensor's own axes.
 
     `response` (3x3, row after row) in the sensor's unit per g: entry ij is what force along axis j adds to axis i. A
-    vibrating gyroscope is sensitive to force by its nature: the paper's section 5.2.2 and Table 4 (differences over 2 g
-    of at most 0.038 dps; L3G-76). In data: a gyroscope at rest has another bias on every face of the box.
+    vibrating gyroscope is sensitive to force by its principle of operation: the paper's section 5.2.2 and Table 4
+    (differences over 2 g of at most 0.038 dps; L3G-76). In data: a gyroscope at rest has a different bias on every face
+    of the box.
     """
 
     name: ClassVar[str] = "g_sensitivity"

@@ -15,8 +15,8 @@ from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple, per_ro
 _STEPS = 50
 """Number of steps of the recursion per time constant."""
 _SHORTEST_S, _LONGEST_S = 0.01, 10.0
-"""Limits of a step in s: shorter than any relevant change of temperature, and short enough for a heater that is
-switched on.
+"""Limits of a step in s. The lower one is shorter than any relevant change of temperature; the upper one is still short
+enough to follow a heater that is switched on.
 """
 _FORGOTTEN = 20.0
 """Number of time constants after which a share of 2e-9 of a difference in temperature remains."""
@@ -24,15 +24,16 @@ _FORGOTTEN = 20.0
 
 @dataclass(frozen=True)
 class ThermalLag(Effect):
-    """time_constant dT/dt = T_box - T, T the element's temperature; in equilibrium at time 0, and before.
+    """time_constant dT/dt = T_box - T, T the element's temperature, in equilibrium at time 0 and before.
 
-    `time_constant_s` in s (0: no lag). The box's temperature is taken to change linearly between steps of a fiftieth of
-    the time constant (10 ms at least, 10 s at most), for which the recursion is exact. Acts with `thermal_bias` and
-    `thermal_scale`, and on what the chip's own thermometer reads. In data: a loop in readings over the temperature of
-    another chip, its area growing with the speed of heating.
+    `time_constant_s` in s (0: no lag). The box's temperature is assumed to change linearly between steps of a fiftieth
+    of the time constant (10 ms at least, 10 s at most), for which the recursion is exact. The effect acts on the
+    temperature that `thermal_bias`, `thermal_scale` and the chip's own thermometer use. In data: a hysteresis loop of
+    the readings plotted over the temperature of another chip; its area grows with the rate of heating.
 
-    With a `slope`, in the sensor's unit per degC, only a part lags, and adds slope (T - reference) to the readings: the
-    stress of a board that warms up later than the chip does it. What the element and its thermometer feel is unchanged.
+    With a `slope`, in the sensor's unit per degC, the element itself does not lag; instead slope (T - reference) is
+    added to the readings, T being the lagged temperature of another part, such as a board that warms up later than the
+    chip and stresses it. The temperatures of the element and of its thermometer are unchanged.
     """
 
     name: ClassVar[str] = "thermal_lag"
@@ -90,9 +91,10 @@ class ThermalLag(Effect):
 class ThermalScale(Effect):
     """y = x (1 + slope (T - reference)), T the element's temperature in degC.
 
-    `slope` is a share of one per degC, `reference_degc` where it vanishes. Typical are 1e-4 (BMA-116, ADX-64) and
-    -3e-3 for the HMC5883L (HMC-57); the L3G4200D changes by 2 % from -40 to 85 degC (L3G-72). In data: what follows the
-    thermometer is proportional to what is measured: opposite on opposite faces.
+    `slope` is the relative change per degC, `reference_degc` the temperature at which the effect is zero. Typical
+    values are 1e-4 (BMA-116, ADX-64) and, for the HMC5883L, -3e-3 (HMC-57); the L3G4200D changes by 2 % from -40 to 85
+    degC (L3G-72). In data: the change with temperature is proportional to the measured quantity, so it has opposite
+    signs on opposite faces.
     """
 
     name: ClassVar[str] = "thermal_scale"
@@ -113,9 +115,9 @@ class ThermalScale(Effect):
 class ThermalBias(Effect):
     """y = x + slope (T - reference) + quadratic (T - reference)^2, T the element's temperature in degC.
 
-    `slope` in the sensor's unit per degC, `quadratic` per degC^2, `reference_degc` where it vanishes. Typical slopes
-    are in BMA-115, ADX-62 and L3G-71; those of the paper's sensors in its Table 8, which found no use for a quadratic
-    term. In data: readings at rest that follow the thermometer.
+    `slope` is in the sensor's unit per degC, `quadratic` per degC^2, `reference_degc` the temperature at which the
+    effect is zero. Typical slopes are in BMA-115, ADX-62 and L3G-71; those of the paper's sensors are in its Table 8.
+    The paper needed no quadratic term. In data: readings at rest that follow the thermometer.
     """
 
     name: ClassVar[str] = "thermal_bias"

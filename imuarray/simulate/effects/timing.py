@@ -18,14 +18,14 @@ from imuarray.simulate.streams import Stream
 class ClockError(Effect):
     """instant = stamp (1 + error_ppm 1e-6), counted from the epoch: a reading stamped t was taken at that instant.
 
-    `error_ppm` is the fractional frequency error of IEEE 1139 in millionths, positive for a log whose clock is slow;
-    its sign is that of true minus logged time. A quartz is off by tens of ppm, an RC oscillator by up to a hundred
-    thousand (BMA-107: 10 %). In data: everything happens faster by that ratio; lines of the spectrum are shifted, and
-    the difference from a known profile of motion or temperature keeps growing.
+    `error_ppm` is the fractional frequency error of IEEE 1139 in millionths. It is positive for a log whose clock is
+    slow: its sign is that of true minus logged time. The error of a quartz is tens of ppm, that of an RC oscillator up
+    to a hundred thousand (BMA-107: 10 %). In data: everything happens faster by that ratio; lines of the spectrum are
+    shifted, and the difference from a known profile of motion or temperature keeps growing.
 
     An oscillator that warms up from the epoch on has the additional error warm_up_ppm exp(-t / warm_up_s) at time t,
-    which integrates to warm_up_ppm warm_up_s (1 - exp(-t / warm_up_s)). With warm_up_ppm = -error_ppm it is right when
-    cold; with 0 its rate is constant.
+    which integrates to warm_up_ppm warm_up_s (1 - exp(-t / warm_up_s)). With warm_up_ppm = -error_ppm the clock is
+    exact when cold; with 0 its rate is constant.
     """
 
     name: ClassVar[str] = "clock_error"
@@ -53,7 +53,9 @@ class ClockError(Effect):
 
 
 AT_ITS_RATE = 0.05
-"""Relative tolerance within which rows at the chip's data rate are taken for its own readings, without a poll."""
+"""Relative tolerance of the row rate. Rows within it of the chip's data rate are assumed to be the chip's own readings
+and not polled.
+"""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,11 @@ class OwnClock(Effect):
     `rate_error` is relative. `phase_deg` / 360 is the part of a period that has passed at the epoch since the latest
     reading (nan: drawn at each boot). The oscillator of the BMA180 is within 10 % (BMA-107); the other data sheets
     print no tolerance. The noise does not change, because the filters run on the same clock. If the rows are the chip's
-    own readings (a queue, an imported log) nothing happens, because their stamps are the times of the readings. Rows at
-    the nominal rate of the chip count as such, unless `polled` (1) says that a host's clock timed them. In data:
-    nothing at rest, unless the chip is polled faster than it samples; then more or fewer rows repeat the previous one.
-    In motion a reading is 0 to 1 period old: a delay if polls and periods stay in step, otherwise a jitter that beats.
+    own readings (a queue, an imported log), the effect does nothing, because their stamps are the times of the
+    readings. Rows at the nominal rate of the chip are assumed to be its own readings, unless `polled` (1) states that a
+    host's clock timed them. In data: no change at rest, unless the chip is polled faster than it samples; then more or
+    fewer rows repeat the previous one. In motion a reading is 0 to 1 period old: a constant delay if polls and periods
+    are synchronous, otherwise a jitter with a beat.
     """
 
     name: ClassVar[str] = "own_clock"
@@ -84,7 +87,7 @@ class OwnClock(Effect):
             raise ValueError(f"polled: {self.polled:g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
-        """Return the number of rows that may repeat one reading, plus one, if the actual rate is below that of the
+        """Return the largest number of rows that repeat one reading, plus one, if the actual rate is below that of the
         rows.
         """
         real_hz = at.sensor.rate_hz * (1 + self.rate_error)
@@ -105,7 +108,7 @@ class OwnClock(Effect):
         return at.kept((self.name, "phase", at.copy), lambda: float(at.boot_generator(self.name).uniform()))
 
     def _is_polled(self, at: Place) -> bool:
-        """Return whether the chip has a rate and is polled: its rows have another rate, or are known to be polls."""
+        """Return whether the chip has a rate and is polled: its rows have another rate, or are known to be polled."""
         rate_hz = at.sensor.rate_hz
         return rate_hz > 0 and (bool(self.polled) or abs(at.rows_per_s / rate_hz - 1) > AT_ITS_RATE)
 
@@ -114,9 +117,10 @@ class OwnClock(Effect):
 class Skew(Effect):
     """instant = stamp - delay_s: the reading was taken `delay_s` seconds before its stamp (negative: after).
 
-    Filters delay by their group delay, conversions take their turn (a quarter of 417 us an axis in the BMA180, BMA-94),
-    samples wait in the chip until they are read; what is known of it is a log's attribute `delay_ns`. In data: nothing
-    at rest; under motion the sensors of one array lag each other, most where the motion is fastest.
+    Filters add their group delay, the axes are converted one after the other (a quarter of 417 us for each in the
+    BMA180, BMA-94), and samples wait in the chip until they are read. The known part of the delay is a log's attribute
+    `delay_ns`. In data: no change at rest; under motion the sensors of one array lag each other, most where the motion
+    is fastest.
     """
 
     name: ClassVar[str] = "skew"
@@ -136,16 +140,16 @@ _FREE = 0.9
 @dataclass(frozen=True)
 class Jitter(Effect):
     """instant = stamp + w, independent from row to row. w ~ N(0, rms_s^2) if all rows are affected. If only a `share`
-    is, these rows are late: w is exponential with the root mean square `rms_s` and the mean rms_s / sqrt(2). It is
-    cut off at the next row, of which the other sensors take a tenth: a longer wait delays the following rows, as
-    their stamps show.
+    of the rows is affected, these are late: w is exponential with the root mean square `rms_s` and the mean rms_s /
+    sqrt(2). It is truncated at 0.9 of the interval to the next row, because the other sensors take a tenth of that
+    interval; a longer wait would also delay the stamps of the following rows.
 
     `rms_s` in seconds is the time that the scheduler of the logging computer inserts between a burst and the reading of
     its clock. Rows are late if another program had the processor. If the times of a log's rows show which rows these
     were (`imuarray.simulate.host_latency`), exactly these rows are late, by `wait_share` of half of each wait: 1 if all
     of it was before the transfer, -1 if it was after it. Rows that no process was ready to read are lost.
 
-    At rest nothing changes, unless the next row repeats a late reading. Under motion it is noise in proportion to the
+    In data: no change at rest, unless the next row repeats a late reading. Under motion, noise in proportion to the
     rate of change of the signal, rms_s sqrt(share) |dx/dt|.
     """
 
@@ -182,19 +186,22 @@ _REACH = 64
 
 @dataclass(frozen=True)
 class DroppedSamples(Effect):
-    """A two-state chain from row to row: lost after kept with probability a, kept after lost with probability b.
+    """A two-state Markov chain from row to row: a row after a kept one is lost with probability a, a row after a lost
+    one is kept with probability b.
 
-    b = 1 / burst_rows makes bursts geometric with that mean, a = b p / (1 - p) makes the long-run share lost p =
-    `probability`; a <= 1 bounds it by burst_rows / (burst_rows + 1). The model of E. N. Gilbert (Capacity of a
-    burst-noise channel, Bell System Technical Journal 39, 1960), with every row of the bad state lost. In data: rows
-    are missing and the next one carries flag 8; the time between rows is a multiple of its usual value.
+    With b = 1 / burst_rows the lengths of bursts are geometric with the mean burst_rows. With a = b p / (1 - p) the
+    long-run share of lost rows is p = `probability`; because a <= 1, p is at most burst_rows / (burst_rows + 1). This
+    is the model of E. N. Gilbert (Capacity of a burst-noise channel, Bell System Technical Journal 39, 1960) in which
+    every row of the bad state is lost. In data: rows are missing and the next one carries flag 8; the time between rows
+    is a multiple of its usual value.
 
-    One uniform number u drives each row: lost if u < a after kept, if u < 1 - b after lost. Where both say the same the
-    past no longer matters, so the state of any row is found, exactly, by looking back to the last such row (coupling
-    from the past): on average 1 / (1 - |1 - a - b|) rows, whatever the row's number.
+    One uniform number u determines each row: after a kept row it is lost if u < a, after a lost row if u < 1 - b. Where
+    both conditions give the same result, the past is irrelevant. The state of any row is therefore computed exactly by
+    going back to the last row of this kind (coupling from the past): on average 1 / (1 - |1 - a - b|) rows, whatever
+    the row's number.
 
-    Where it is known which rows are missing, these are lost and no others: those due from each of `moments_s` on, by
-    the log's clock, for as long as `lengths_s` says, in the run with that number in `runs`.
+    If the missing rows are known, exactly these are lost: the rows that are due from each of `moments_s` on, by the
+    log's clock, for the time in `lengths_s`, in the run whose number is in `runs`.
     """
 
     name: ClassVar[str] = "dropped_samples"

@@ -1,5 +1,5 @@
-"""A box that stands on one of its faces, and its environment: gravity, air, and a field that is the earth's or known in
-the box frame, phase by phase.
+"""A box that stands on one of its faces, and its environment: gravity, air, and a magnetic field, which is the earth's
+or is given in the box frame for each phase.
 
 Frames: ``level`` has z up, ``box`` is the box; an attitude is the rotation R with ``vector_level = R @ vector_box``.
 """
@@ -22,7 +22,7 @@ from imuarray.simulate.motion.timeline import consecutive, finite, nanoseconds, 
 from imuarray.units import STANDARD_GRAVITY
 
 GRAVITY_LEVEL = np.array([0.0, 0.0, STANDARD_GRAVITY])
-"""Specific force of a box at rest in m/s2: the table pushes it up."""
+"""Specific force of a box at rest in the level frame, in m/s2. It points up, because the table supports the box."""
 
 FIELD_LEVEL = np.array([0.2, 0.0, -0.43])
 """Magnetic field in gauss, x to magnetic north, with the inclination of central Europe."""
@@ -120,8 +120,8 @@ class Still:
     """A box at rest for `seconds` with the box axis `up` upwards; one phase, `name`.
 
     The temperature begins at `temperature_degc` and changes by `drift_degc_per_h`. `tilt_deg` are small angles by which
-    box and table are turned about the level x and y axes: no table is level, no box square. ValueError for what can't
-    be.
+    box and table are turned about the level x and y axes, because no table is exactly level and no box exactly square.
+    ValueError for invalid values.
     """
 
     up: str = "+Z"

@@ -1,4 +1,4 @@
-"""Stimulus of the box as a function of time: the boundary between motions and everything that senses them.
+"""Stimulus of the box as a function of time: the interface between motions and the sensors that measure them.
 
 A motion is a pure function of time; its one required method is `felt`. Times are int64 nanoseconds since the log's
 epoch, vectors are in the box frame.
@@ -42,15 +42,15 @@ class Motion(Protocol):
 
     @property
     def seconds(self) -> float:
-        """The duration in s; later, the stimulus stays as it is at the end."""
+        """The duration in s; after it the stimulus keeps its final value."""
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return what the box senses at these times (n,), in any order."""
+        """Return the stimulus of the box at these times (n,), in any order."""
 
 
 @dataclass(frozen=True)
 class MotionVariant:
-    """A variant of another motion: it has the same phases and duration; a subclass changes what is felt."""
+    """A variant of another motion: it has the same phases and duration; a subclass changes the stimulus."""
 
     motion: Motion
 

@@ -1,4 +1,4 @@
-"""A box shaken by hand: position and attitude are sums of sines that swell and fade."""
+"""A box shaken by hand: position and attitude are sums of sines under an envelope that rises and falls."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RAMP_S = 1.0
 SHARES = (0.6, 0.4)
-"""Shares of the slow and the fast sine of an axis in its peak."""
+"""Shares of the slow and the fast sine of an axis in its peak amplitude."""
 
 PLACE_HZ = ((1.5, 3.0), (3.5, 6.0))
 TURN_HZ = ((0.8, 1.6), (2.0, 5.0))
@@ -60,8 +60,8 @@ class HandShake(MotionBetweenRests):
     motion, static.
 
     Position (level frame) and rotation vector of the attitude are two sines an axis, frequencies and phases drawn from
-    `seed`, under an envelope that swells and fades within a second. The acceleration's magnitude never exceeds `peak_g`
-    nor the angular rate's `peak_dps`; both come near. ValueError for what can't be.
+    `seed`, under an envelope that rises and falls within a second. The magnitude of the acceleration never exceeds
+    `peak_g`, that of the angular rate never `peak_dps`; both come close to these limits. ValueError for invalid values.
     """
 
     peak_g: float = 8.0
@@ -123,7 +123,7 @@ class HandShake(MotionBetweenRests):
 
     def _drawn(self, bands_hz: tuple[tuple[float, float], ...], peak: float, order: int) -> _Sines:
         """Return sines whose derivative of this order has a magnitude of at most `peak`. The rising envelope adds to
-        the derivatives of a sine, so the amplitude is the one that the worst instant allows.
+        the derivatives of a sine, so the amplitude is chosen for the worst instant.
         """
         generator = np.random.default_rng([self.seed, order])
         low, high = np.transpose(bands_hz)

@@ -1,4 +1,6 @@
-"""The heating experiment: a box at rest, warmed twice by a hairdryer, left to cool (paper, sections 4 and 5.2.5)."""
+"""The heating experiment: a box at rest is heated twice by a hairdryer and cools in between and after it (paper,
+sections 4 and 5.2.5).
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ COOLING_MIN = 20.0
 
 
 class _Stretch(NamedTuple):
-    """A part of the profile: phase, minutes, temperature at its begin and asymptotic temperature in degC, time constant
-    in minutes.
+    """A part of the profile: phase, duration in minutes, temperature at its beginning and asymptotic temperature in
+    degC, time constant in minutes.
     """
 
     name: str
@@ -45,12 +47,12 @@ def _heat(minutes: float, begins_degc: float, ends_degc: float) -> _Stretch:
 
 @dataclass(frozen=True)
 class Heating:
-    """A heating on the -Z face: 5 minutes at room temperature, 5 of heat, 5 to cool, 5 of more heat, 90 to cool.
+    """A heating on the -Z face: 5 minutes at room temperature, 5 of heating, 5 of cooling, 5 of heating, 90 of cooling.
 
-    From the paper: these times, about 24 degC to begin with, 42 to 43 and 52 degC reached, and that the end was not
-    quite the beginning. Ours, read off no table: exponential approaches with time constants of 2 minutes (heating) and
-    20 minutes (cooling), and an ambient air that has become 1 degC warmer by the last stretch. `scale` below 1
-    shortens times and time constants alike. ValueError for what can't be.
+    Taken from the paper: these times, about 24 degC at the beginning, maxima of 42 to 43 and 52 degC, and a final
+    temperature slightly above the initial one. Our assumptions, without a source: exponential approaches with time
+    constants of 2 minutes (heating) and 20 minutes (cooling), and ambient air that is 1 degC warmer in the last
+    stretch. `scale` below 1 shortens times and time constants alike. ValueError for invalid values.
     """
 
     scale: float = 1.0

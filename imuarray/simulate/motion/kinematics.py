@@ -1,4 +1,5 @@
-"""Conversion of an attitude as a function of time into what the box feels: exact rates and angular accelerations.
+"""Conversion of an attitude as a function of time into the stimulus of the box, with exact rates and angular
+accelerations.
 
 Everything is laid out as (3, n), one row for each axis, which is much faster than (n, 3). An attitude R turns the box
 frame into the level frame: ``vector_level = R @ vector_box``.
@@ -19,7 +20,9 @@ from imuarray.simulate.motion.felt import Felt
 from imuarray.units import STANDARD_GRAVITY
 
 _SMALL = 0.2
-"""Squared angle in rad2 below which series are used; the neglected terms after the seventh are below the last bit."""
+"""Squared angle in rad2 below which series are used; below it the terms after the seventh, which are neglected, are
+smaller than the last bit.
+"""
 
 
 class Attitude(Protocol):
@@ -63,7 +66,7 @@ class RotationVector:
 
     With theta = |phi|, sinc = sin(theta) / theta, versine = (1 - cos(theta)) / theta^2, rest = (1 - sinc) / theta^2:
     rate = phi' - versine phi x phi' + rest phi x (phi x phi'), the right Jacobian of the rotation group. It shortens
-    what is across phi, so the rate is never more than |phi'|.
+    the component of phi' perpendicular to phi, so the rate never exceeds |phi'|.
     """
 
     phi: Reals
@@ -117,8 +120,8 @@ _SERIES = (*map(_series, (1, 2, 3)), 2 * np.polyder(_series(2)), 2 * np.polyder(
 class EulerAngles:
     """R = Rz(yaw) Ry(pitch) Rx(roll), each angle (3, n): its value in rad and its first two derivatives.
 
-    rate = (roll' - yaw' sin(pitch), pitch' cos(roll) + yaw' cos(pitch) sin(roll),
-    yaw' cos(pitch) cos(roll) - pitch' sin(roll)), whatever way the level frame's z points.
+    rate = (roll' - yaw' sin(pitch), pitch' cos(roll) + yaw' cos(pitch) sin(roll), yaw' cos(pitch) cos(roll) - pitch'
+    sin(roll)), whether the level frame's z points up or down.
     """
 
     roll: Reals

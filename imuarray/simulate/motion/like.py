@@ -1,4 +1,4 @@
-"""The motion of a recorded log, as far as the log states it: its columns as smooth functions of time, read block by
+"""The motion of a recorded log, as far as the log contains it: its columns as smooth functions of time, read block by
 block.
 """
 
@@ -40,28 +40,29 @@ _KEPT_PIECES = 4
 """Minimum number of blocks kept in memory."""
 
 _MANY = 256
-"""Number of times below which pieces are found by a search."""
+"""Number of times below which the pieces that contain them are searched instead of computed by a division."""
 
 _GAP = 8.0
-"""Ratio of an interval to the shorter of its neighbours above which it is a gap. Slopes at its ends say nothing about
-the time between, and a cubic piece from them would overshoot both rows.
+"""Ratio of an interval to the shorter of its neighbours above which it is a gap. Slopes at its ends are not valid for
+the time in between, and a cubic piece with these slopes would overshoot both rows.
 """
 
 _KEPT_BYTES = 1 << 24
-"""Bytes up to which more blocks are kept, because replicates of a log read them repeatedly. Two hours of a temperature
-at 28 Hz take 6 MB, and as much again for a box at rest.
+"""Size in bytes up to which more blocks are kept, because replicates of a log read them repeatedly. Two hours of a
+temperature at 28 Hz take 6 MB, and a box at rest takes the same amount again.
 """
 
 
 _MOST_TRACK_ROWS = 1 << 20
-"""Rows up to which a track is read as a whole to reduce its noise. A longer one is followed as recorded."""
+"""Maximum number of rows of a track that is read as a whole to reduce its noise. A longer one is followed as recorded.
+"""
 
 
 class _CubicPieces(NamedTuple):
     """Rows at times (k,) ns, the last row being the first of the next block, and the k - 1 cubic pieces between them,
     p0 + x (p1 + x (p2 + x p3)) for each column with 0 <= x <= 1. p0 of all pieces is `start` (c, k - 1). `moves` (k,)
-    counts the pieces before a row that are not constant; only for these m pieces are the lengths `length_s` (m,) and
-    `curve` (3, c, m), p1, p2, p3, stored. A single row has one piece, which is constant.
+    counts the pieces before a row that are not constant; the lengths `length_s` (m,) and `curve` (3, c, m), p1, p2, p3,
+    are stored only for these m pieces. A single row has one piece, which is constant.
     """
 
     time_ns: Integers
@@ -101,12 +102,12 @@ class _CubicPieces(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SplineColumns:
-    """`columns` (n,) or (n, 3) at `time` (n,) ns, joined by cubic pieces whose slope at a row comes from the rows
-    before and after it (three-point formula; from one at the ends): values and slopes without jumps. Across a gap the
-    pieces are monotonic.
+    """`columns` (n,) or (n, 3) at `time` (n,) ns, joined by cubic pieces. The slope at a row is computed from the rows
+    before and after it (three-point formula; from one neighbour at the ends), so that values and slopes have no jumps.
+    Across a gap the pieces are monotonic.
 
-    Only a few blocks of rows are in memory at any time, up to `_KEPT_BYTES`. `where` stands in the LogError for rows
-    that aren't finite or whose times don't increase.
+    Only a few blocks of rows are in memory at any time, up to `_KEPT_BYTES`. `where` is the place that the LogError
+    names if rows are not finite or their times do not increase.
     """
 
     time: NamedColumn | Integers
@@ -116,8 +117,8 @@ class SplineColumns:
     def at(self, time_ns: Integers) -> tuple[Reals, Reals]:
         """Return (n, c) values, all columns side by side, and (n, c) their derivatives per s, in any order of times.
 
-        Before the first row that row, after the last the last, both with derivative 0. Where nothing changes between
-        the first and the last of the times, one row stands for all (read-only).
+        Before the first row and after the last one, these rows are returned, with derivative 0. If nothing changes
+        between the first and the last of the times, one row is broadcast (read-only).
         """
         within = np.clip(time_ns, self.first_ns, self.last_ns)
         constant = self._constant(within)
@@ -133,7 +134,9 @@ class SplineColumns:
         return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
 
     def _constant(self, within: Integers) -> Reals | None:
-        """Return one broadcast row (n, c), if all values between the first and the last of the times are equal."""
+        """Return one broadcast row (n, c) if all values between the first and the last of the times are equal;
+        otherwise None.
+        """
         if len(within) == 0:
             return None
         ends = np.array([within.min(), within.max()])
@@ -149,7 +152,7 @@ class SplineColumns:
         return np.broadcast_to(value, (len(within), len(value)))
 
     def _joined(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
-        """Return (c * of_each, n) the results of `worked_out` for each block at the times within it."""
+        """Return (c * of_each, n): the results of `worked_out`, called for each block with the times within it."""
         if (within[1:] >= within[:-1]).all():
             return self._in_order(within, worked_out, of_each)
         order = np.argsort(within, kind="stable")
@@ -259,8 +262,8 @@ def _gaps(time_ns: Integers) -> Booleans:
 def _cubic_pieces(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _CubicPieces:
     """Return the cubic pieces (Hermite) between rows (k, c) with these slopes per s.
 
-    In gaps (k - 1,) they are monotonic: no slope exceeds three times the mean one, or has another sign (Fritsch and
-    Carlson, SIAM J. Numer. Anal. 17, 1980).
+    In gaps (k - 1,) they are monotonic: no slope exceeds three times the mean slope or has the opposite sign (Fritsch
+    and Carlson, SIAM J. Numer. Anal. 17, 1980).
     """
     if len(rows) == 1:
         return _CubicPieces(time_ns, rows.T.copy(), np.zeros(2, np.int64), np.zeros(0), np.zeros((3, rows.shape[1], 0)))
@@ -309,7 +312,7 @@ def _values_and_slopes(block: _CubicPieces, time_ns: Integers) -> Reals:
 
 
 def _moving(block: _CubicPieces, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Return whether these pieces are not constant."""
+    """Return the indices in `row` of the pieces that are not constant."""
     return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
 
 
@@ -323,18 +326,18 @@ def _pieces(block: _CubicPieces, time_ns: Integers, row: npt.NDArray[np.intp]) -
 
 
 CHIP_S, SHORT_CHIP_S, CHIP_SHARE = 10.0, 2.0, 1 / 15
-"""Times over which the readings of a chip's own thermometer are averaged: this time, or this share of a shorter log,
-but at least the shorter time. Its steps and noise are not changes of the temperature, and a heating may last for only a
-part of the log.
+"""Time in s over which the readings of a chip's own thermometer are averaged: at most `CHIP_S`, for a shorter log the
+share `CHIP_SHARE` of its length, but at least `SHORT_CHIP_S`. Averaging is necessary because steps and noise of the
+thermometer are not changes of the temperature; it is short because a heating may last for only a part of the log.
 """
 
 FINEST_CHIP_S = 0.5
 """Shortest averaging time in s if the temperature changes by more than steps and noise."""
 
 _FEW_READINGS, _SIGNIFICANT = 5, 3.0
-"""Minimum number of readings that determines the noise of a thermometer, and the scatter, in this noise, above which
-the temperature is taken to change. Otherwise a straight line is used, since the noise of a thermometer is not a change
-of the temperature.
+"""Minimum number of readings from which the noise of a thermometer is estimated, and the scatter, as a multiple of this
+noise, above which the temperature is considered to change. Otherwise a straight line is used, because the noise of a
+thermometer is not a change of the temperature.
 """
 
 _MEDIAN_OF_SECOND_DIFFERENCES = 0.6745 * math.sqrt(6)
@@ -356,19 +359,19 @@ _LAST = 8
 class LikeLog:
     """The motion of the box of `log`, at the log's own times.
 
-    Force and rate come from `/truth`, else from `/reference`, if it has both, by splines (`SplineColumns`); the angular
-    acceleration is the derivative of that rate, so what happened between two rows is not in it. Without them the box is
-    taken to have stood still: on the face that a phase names as up, and until the next such phase on that one (before
-    the first, on the first; +Z if none is named); then turns and shaking are missing from it, and tilts too.
+    Force and rate are interpolated by splines (`SplineColumns`) from `/truth`, otherwise from `/reference` if it has
+    both. The angular acceleration is the derivative of that rate and does not contain motion between two rows. Without
+    these groups the box is assumed to stand still with the face up that a phase names, until the next phase that names
+    one (before the first of them, with that of the first; +Z if no phase names one). Turns, shaking and tilts are then
+    missing.
 
-    The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included,
-    else what a chip's own thermometer measured, averaged over at most `CHIP_S`, if its zero is known, else 25 degC.
-    It is that of what the thermometer follows with a lag of `lead_s`. The field is that of `fields`, if there are any,
-    else the earth's on that face, also while the box moves; the
-    pressure is that of height 0. In `rests`, stretches from and to a time in ns, force and rate are the means of
-    the track, and between them a reference's noise is reduced (`without_track_noise`) unless it is very long: noise is
-    no motion. The log stays open. LogError for a phase
-    whose `up` is no box axis, or rows that can't be meant.
+    The temperature is the first available of: that of the same rows; that of a barometer of the log, including noise
+    and offset; that of a chip's own thermometer with a known zero, averaged over at most `CHIP_S`; 25 degC. It is
+    corrected for the lag `lead_s` of the thermometer. The field is that of `fields`, if any are given, otherwise the
+    earth's on that face, also while the box moves; the pressure is that of height 0. In `rests`, stretches from and to
+    a time in ns, force and rate are the means of the track. Between them the noise of a reference is reduced
+    (`without_track_noise`) unless the reference is very long, because noise is not motion. The log stays open. LogError
+    for a phase whose `up` is not a box axis, or for invalid rows.
     """
 
     log: Log
@@ -410,7 +413,7 @@ class LikeLog:
         return self._remembered(np.asarray(time_ns, np.int64).tobytes())
 
     def _felt_before(self, time_ns: Integers) -> Felt:
-        """Return the motion at many instants from a cache."""
+        """Return the stimulus at many instants; the latest stretches are cached."""
         kept, key = self._stretches, (len(time_ns), int(time_ns[0]), int(time_ns[-1]))
         remembered = kept.pop(key, None)
         if remembered is None or not np.array_equal(remembered.time_ns, time_ns):
@@ -426,7 +429,7 @@ class LikeLog:
         return {}
 
     def __reduce__(self) -> tuple[type[LikeLog], tuple[object, ...]]:
-        """Return the fields to pickle: the log, which reopens itself, without what was read from it."""
+        """Return the fields to pickle: the log, which reopens itself, without the data that were read from it."""
         return LikeLog, (self.log, self.fields, self.rests, self.lead_s)
 
     @cached_property

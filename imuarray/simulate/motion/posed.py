@@ -19,8 +19,8 @@ if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not ne
 
 
 class PoseAttitude(NamedTuple):
-    """The attitude of the box in a phase: the direction up in the box frame, of length 1; whether it was `estimated`
-    from the box's own accelerometers, and not noted by who put it there.
+    """The attitude of the box in a phase: the upward direction in the box frame, of length 1; and whether it was
+    `estimated` from the box's own accelerometers rather than noted by the experimenter.
     """
 
     phase: Phase
@@ -29,21 +29,26 @@ class PoseAttitude(NamedTuple):
 
 
 _EDGE_NS, _EDGE_TIMES = 100_000_000, 10
-"""Length of the begin or end of a movement over which the force is averaged, and the number of moments in it."""
+"""Time in ns at the beginning or end of a movement over which the force is averaged, and the number of instants in it.
+"""
 
 _TURN_STEP_NS = 20_000_000
-"""Steps in which the attitude is integrated in a movement."""
+"""Step in ns by which the attitude is integrated during a movement."""
 
 _MOST_APART_NS = 100_000_000
-"""Longest time between a movement and the rest before or after it: nothing turns in a tenth of a second."""
+"""Longest time in ns between a movement and the rest before or after it; the box is assumed not to turn within a tenth
+of a second.
+"""
 
 _SAME_COSINE = float(np.cos(np.radians(10.0)))
-"""Cosine of the angle by which the directions up that are carried from either end of a movement differ at most: beyond
-it the rates are clipped, or the attitudes are not those between which the box turned.
+"""Cosine of the largest angle between the two upward directions that are integrated from either end of a movement. If
+they differ by more, the rates are clipped, or the box did not turn between these two attitudes.
 """
 
 _LARGEST_STEP = 1.5
-"""Largest step in m/s2 of the force that sensors cause: within their tolerances, they disagree by less."""
+"""Largest step of the force, in m/s2, that is attributed to errors of the sensors: within their tolerances they differ
+by less.
+"""
 
 
 class Movement(NamedTuple):
@@ -58,11 +63,12 @@ class Movement(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PoseSequence:
-    """The box lies in `attitudes`, phases in order of time, and moves by `movements` between them, in order of time,
-    too, whose force is shifted so that it begins and ends with that of the attitudes beside them; elsewhere it jumps
-    half-way from one attitude to the next, since nobody says how it was turned. Temperature and pressure are those of
-    `surroundings`, gravity the standard one; the field is that of `fields`, if there are any, else the earth's as after
-    the shortest turn from upright, since up tells no heading. ValueError for no attitude, or a direction that is none.
+    """The box rests in `attitudes` and moves by `movements` between them; both are in order of time. The force of a
+    movement is shifted so that it begins and ends with that of the attitudes before and after it. Without a movement,
+    the box jumps from one attitude to the next half-way between them, because the turn is not known. Temperature and
+    pressure are those of `surroundings`, gravity is standard. The field is that of `fields`, if any are given,
+    otherwise the earth's field after the shortest turn from upright, because the upward direction does not determine
+    the heading. ValueError if there is no attitude, or for an invalid direction.
     """
 
     attitudes: tuple[PoseAttitude, ...]
@@ -98,11 +104,12 @@ class PoseSequence:
         return self.attitudes[int(np.searchsorted(self._turns_ns, middle_ns, side="right")[0])].estimated
 
     def up_in_movement(self, time_ns: int) -> tuple[float, float, float] | None:
-        """Return the direction up in the box's frame at a moment in a movement, or at one of its ends; None outside and
-        where the attitude before or after the movement is not known, or the rates lead to another one.
+        """Return the upward direction in the box frame at an instant in a movement, or at one of its ends. None outside
+        of movements, if the attitude before or after the movement is not known, or if the rates lead to a different
+        attitude.
 
-        It is carried by the rates from the attitude before, and back from that after; the further away one of these
-        is, the less it counts.
+        It is integrated from the rates, forwards from the attitude before and backwards from the attitude after; the
+        weight of each result decreases linearly with the time from its attitude.
         """
         for start_ns, end_ns, _ in self.movements:
             if start_ns <= time_ns <= end_ns and start_ns in self._ups_in_movements:
@@ -113,7 +120,9 @@ class PoseSequence:
 
     @cached_property
     def _ups_in_movements(self) -> dict[int, tuple[Integers, Reals]]:
-        """Return, by the begin of each movement between known attitudes, moments (s,) and the directions up (s, 3)."""
+        """Return, by the beginning of each movement between known attitudes, instants (s,) and the upward directions
+        (s, 3).
+        """
         ups: dict[int, tuple[Integers, Reals]] = {}
         up_of = {attitude.phase: attitude.up_box for attitude in self.attitudes}
         for movement in self.movements:
@@ -169,8 +178,8 @@ class PoseSequence:
         return replace(still, force_box=force, rate_box=rate, angular_acceleration_box=acceleration)
 
     def _shifts(self, movement: Movement, time_ns: Integers) -> Reals:
-        """Return (n, 3) what is added to the force of a movement: the scale factors and biases of the sensors that it
-        is the mean of would otherwise be steps of the force between movement and rest.
+        """Return (n, 3) the correction that is added to the force of a movement. The force is the mean of several
+        sensors; without the correction, their scale factors and biases would cause steps between movement and rest.
         """
         share = (time_ns - movement.start_ns) / (movement.end_ns - movement.start_ns)
         begin, end = self._steps[movement.start_ns]
@@ -178,8 +187,9 @@ class PoseSequence:
 
     @cached_property
     def _steps(self) -> dict[int, tuple[Reals, Reals]]:
-        """Return, by the begin of each movement, the steps (3,) of the force from its begin and end to the attitudes
-        before and after it; 0 where there is none, or the box already moves.
+        """Return, by the beginning of each movement, the steps (3,) of the force from its beginning and end to the
+        attitudes before and after it; 0 if there is no such attitude, or if the step is too large to be an error of the
+        sensors because the box is already moving.
         """
         forces = GRAVITY_LEVEL @ self._rotations
         edge_ns = np.arange(0, _EDGE_NS, _EDGE_NS // _EDGE_TIMES, dtype=np.int64)
@@ -215,8 +225,8 @@ def neighbours(turn: Phase | Movement, rests: Sequence[Phase]) -> tuple[Phase, P
 
 
 def carry_up(up_box: Reals, angles: Reals) -> Reals:
-    """Return (s + 1, m, 3) the directions of the box that are up, from `up_box` (m, 3) on, as it turns by `angles` (s,
-    m, 3) in rad, one after the other: du/dt = u x w in the frame of the box.
+    """Return (s + 1, m, 3) the upward directions in the box frame, beginning with `up_box` (m, 3), while the box turns
+    by `angles` (s, m, 3) in rad, one after the other: du/dt = u x w.
     """
     ups = [np.asarray(up_box, float)]
     for angle in angles:
@@ -228,7 +238,7 @@ def carry_up(up_box: Reals, angles: Reals) -> Reals:
 
 
 _LEAST_SINE = float(np.finfo(float).tiny)
-"""Smallest sine that determines a direction; smaller ones have too few digits."""
+"""Smallest sine that determines a direction; a smaller one is subnormal and has too few digits."""
 
 
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:

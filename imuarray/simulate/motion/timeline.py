@@ -1,4 +1,4 @@
-"""Stretches of a motion: their lengths, the phases they are noted as, and a smooth way from one to the next."""
+"""Stretches of a motion: their lengths, their phases, and a smooth transition from one to the next."""
 
 from __future__ import annotations
 

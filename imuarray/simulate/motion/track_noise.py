@@ -1,7 +1,8 @@
 """A track of the box's motion without the noise of the instrument that recorded it.
 
-A simulated sensor that follows a recorded track feels the track's noise as motion, where the real sensor did not. The
-noise is white and known from stretches at rest; it is reduced in the spectrum of each stretch in between.
+A simulated sensor that follows a recorded track would measure the noise of the track as motion, which the real sensor
+did not. The noise is white and is estimated from stretches at rest; it is reduced in the spectrum of each stretch in
+between.
 """
 
 from __future__ import annotations
@@ -14,23 +15,27 @@ from scipy.ndimage import uniform_filter1d
 from imuarray.arrays import Floats, Integers, Reals
 
 _ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
-"""Rows that tell the ends of a stretch, neighbouring bins of a spectrum that are averaged, and the multiple of the
-noise from which on their power is a motion: that of noise alone hardly exceeds it.
+"""Number of rows that are averaged for either end of a stretch; number of neighbouring bins of a spectrum that are
+averaged; and the multiple of the noise power above which their mean power is taken to be motion. The mean power of
+noise alone rarely exceeds this multiple.
 """
 
 _FEWEST_ROWS = 64
-"""Fewest rows of a stretch that tell the noise, or whose noise is reduced."""
+"""Minimum number of rows of a stretch, both for estimating the noise and for reducing it."""
 
 _EVEN = 1.5
-"""Longest interval of a stretch over its median: with longer ones, a row's number does not tell its time."""
+"""Largest ratio of an interval of a stretch to its median interval. If one is longer, rows are not evenly spaced and
+the noise is not reduced.
+"""
 
 
 def without_track_noise(time_ns: Integers, columns: Reals, rests: Sequence[tuple[int, int]]) -> Reals:
-    """Return the columns (n, 6) of a track, force and rate of the box, with less noise between the `rests`, stretches
-    in ns, whose noise they have; as they are without rests, and where rows are missing.
+    """Return the columns (n, 6) of a track, force and rate of the box, with reduced noise between the `rests`,
+    stretches in ns from which the noise is estimated. Without rests, and in stretches with missing rows, the columns
+    are unchanged.
 
-    Each frequency keeps the share of its power that exceeds the noise (Wiener filter). The response of a sensor to the
-    result is that to the motion: the response to a track with noise would be smaller, by the share of the noise.
+    Each frequency keeps the share of its power that exceeds the noise (Wiener filter). The regression of a sensor on
+    the result gives its response to the motion; on a track with noise, it would be too small by the share of the noise.
     """
     edges = np.searchsorted(time_ns, np.array(rests, np.int64).reshape(-1, 2))
     still = [columns[first:stop] for first, stop in edges.tolist() if stop - first >= _FEWEST_ROWS]
@@ -49,12 +54,13 @@ def without_track_noise(time_ns: Integers, columns: Reals, rests: Sequence[tuple
 
 
 def reduce_noise(values: Reals, variance: Reals, *, keeps_power: bool = False) -> Floats:
-    """Return values (w, 3) without white noise of this variance (3,): of what is left of a line, each frequency keeps
-    the share of its amplitude by which the power exceeds that of the noise (Wiener filter), or, if it `keeps_power`,
-    the square root of that share, so that the result has the variance of the motion (spectral subtraction).
+    """Return values (w, 3) with white noise of this variance (3,) reduced. A straight line between the ends is
+    subtracted first. Of the residual, each frequency keeps the share of its amplitude by which its power exceeds that
+    of the noise (Wiener filter); with `keeps_power` it keeps the square root of that share, so that the result has the
+    variance of the motion (spectral subtraction).
 
-    This is done along the principal axes: of a rotation about a single axis, which is oblique to those of the box, no
-    noise about the others may be left, since it would tell the axes of simulated sensors apart.
+    This is done along the principal axes. If the box rotates about a single axis that is oblique to its own, no noise
+    about the other two principal axes may remain, because it would make the axes of simulated sensors distinguishable.
     """
     count = len(values)
     ends = values[:_ENDS].mean(axis=0), values[-_ENDS:].mean(axis=0)

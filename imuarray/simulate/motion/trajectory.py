@@ -1,4 +1,4 @@
-"""Motions given row by row, smooth in between: a box's path, or directly what it felt; from arrays or a text file.
+"""Motions given row by row and smooth in between: the path of a box, or its force and rate; from arrays or a text file.
 
 The file is comma-separated, with one header row and times in seconds; lines that begin with # are comments::
 
@@ -116,7 +116,7 @@ class Trajectory(_TrajectoryRows):
 class FeltRows(_TrajectoryRows):
     """Specific force `force_box` (n, 3) in m/s2 and angular rate `rate_box` (n, 3) in rad/s, joined by cubic splines.
 
-    Nothing is known of attitude and height: field and pressure are those of a box that stands upright.
+    Attitude and height are not known: field and pressure are those of a box that stands upright.
     """
 
     force_box: Floats

@@ -31,8 +31,8 @@ LAST = len(ORDER) - 1
 
 
 class _TurningVector(NamedTuple):
-    """A vector that is fixed to the level frame, in the box frame of each face (7, 3); its part across the axis of the
-    turn that follows; and the product of that axis and the vector.
+    """A vector that is fixed in the level frame, expressed in the box frame of each face (7, 3); its component
+    perpendicular to the axis of the turn that follows; and the vector product of that axis and the vector.
     """
 
     start: Reals
@@ -42,10 +42,11 @@ class _TurningVector(NamedTuple):
 
 @dataclass(frozen=True)
 class Tumble:
-    """Each face up for `face_s`, turns of `turn_s` the shortest way about the box's origin, their rate 1 - cos.
+    """Each face is up for `face_s`. Between them the box turns about its origin for `turn_s`, by the shortest rotation;
+    its rate follows 1 - cos.
 
-    Phases cover only the still parts. `temperatures_degc` and `tilts_deg` (see `Still`), if given, are one for each of
-    the seven; a temperature changes during the turn. ValueError for what can't be.
+    Phases cover only the still parts. `temperatures_degc` and `tilts_deg` (see `Still`), if given, have one entry for
+    each of the seven; the temperature changes during the turn. ValueError for invalid values.
     """
 
     face_s: float = 900.0

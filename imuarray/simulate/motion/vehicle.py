@@ -55,12 +55,12 @@ class _Drive(NamedTuple):
 
 @dataclass(frozen=True)
 class Vehicle(MotionBetweenRests):
-    """Stands for `still_s`, drives for `drive_s`, stands again; phases static, motion, static.
+    """The vehicle stands for `still_s`, drives for `drive_s`, and stands again; phases static, motion, static.
 
     It reaches `speed_mps`, takes its bends with `lateral_mps2`, brakes to a stop. Box X points forward, Y left, Z up.
-    The body banks with what it feels. The road adds heave, roll and pitch: eight sines from 1 to 15 Hz, drawn from
-    `seed`, in proportion to the speed, `road_mps2` rms of vertical acceleration at full speed. The shape is ours, not
-    that of a recorded drive. ValueError for what can't be.
+    The body rolls and pitches in proportion to its acceleration. The road adds heave, roll and pitch: eight sines from
+    1 to 15 Hz, drawn from `seed`, in proportion to the speed, `road_mps2` rms of vertical acceleration at full speed.
+    The shape of the drive is our assumption, not that of a recorded drive. ValueError for invalid values.
     """
 
     speed_mps: float = 15.0
