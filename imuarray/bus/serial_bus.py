@@ -263,5 +263,15 @@ def open_serial(rest: str) -> SerialBus:
         number = getattr(error, "errno", None)
         if number in (errno.EAGAIN, errno.EBUSY):
             raise BusUrlError(f"serial:{path}: another program has locked this port") from error
-        cause = os.strerror(number) if number else error
+        if _is_no_terminal(error):
+            cause: object = "is no serial port"
+        else:
+            cause = os.strerror(number) if number else error
         raise BusUrlError(f"serial:{path}: {cause}; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)") from error
+
+
+def _is_no_terminal(error: Exception) -> bool:
+    """Return whether a port failed to open because its file has no settings of a terminal. pyserial's error has no
+    errno then, but follows from a `termios.error`, whose first argument is the errno.
+    """
+    return error.__context__ is not None and errno.ENOTTY in error.__context__.args[:1]

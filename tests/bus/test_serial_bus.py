@@ -295,6 +295,8 @@ def test_invalid_urls_and_ports_are_refused(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setattr(serial_bus, "PATIENCE_S", 0.0)
     monkeypatch.setattr(serial_session, "ANSWER_S", 0.05)
     assert refusal("serial:") == "bus 'serial:': name the port, as in serial:/dev/ttyACM0"
+    no_port = "serial:/dev/null: is no serial port; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)"
+    assert refusal("serial:/dev/null") == no_port
     for query in ("?speed=9600", "?baud=fast", "?baud=0", "?baud=9600&parity=E"):
         assert refusal(f"serial:/dev/ttyACM0{query}").endswith(
             "after the port only ?baud= and a whole number are allowed"
