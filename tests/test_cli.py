@@ -236,6 +236,8 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info",), "Missing argument"),
     (("info", "none.h5"), "none.h5: no such file"),
     (("info", "folder"), "folder: is a folder"),
+    (("info", ""), "'RUN.h5': the name is empty"),
+    ((*GOOD_LOG, "-o", ""), "'-o' / '--output': the name is empty"),
     (("info", "one.toml"), "one.toml: is not an HDF5 file"),
     (("monitor", "folder", "--text"), "folder: is a folder"),
     (("characterise", "x.csv", "-o", "one.toml"), "one.toml: is a file; the output must be a folder"),
@@ -529,6 +531,24 @@ def test_the_name_of_a_log_needs_its_suffix(run: Run, here: Path) -> None:
     code, _, (line,) = run(*GOOD_LOG, "-o", "night")
     assert (code, line) == (2, "imuarray: night: a log is an HDF5 file; name it night.h5")
     assert [path.name for path in here.iterdir()] == ["one.toml"]
+
+
+def test_a_closed_standard_output_is_an_error(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python sets `sys.stdout` to None if descriptor 1 is closed (Python Library Reference, sys.__stdout__)."""
+    monkeypatch.setattr(sys, "stdout", None)
+    assert main(["info", "--help"]) == 2
+    assert capsys.readouterr().err == "imuarray: standard output is closed; nothing can be printed\n"
+
+
+def test_long_lines_of_info_are_broken_at_the_width_of_the_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("log", "one.toml", "--bus", "emulated:", "-o", "r.h5", "--seconds", "0.1")
+    unbroken = run("info", "r.h5")[1]
+    monkeypatch.setenv("COLUMNS", "40")
+    lines = run("info", "r.h5")[1].splitlines()
+    assert max(map(len, lines)) <= 40
+    assert "\n".join(lines).split() == unbroken.split()
 
 
 def test_a_full_disk_has_exit_code_3(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

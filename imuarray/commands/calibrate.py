@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import bars, force_option, json_option, names_option, print_json, refuse_existing
+from imuarray.commands.options import (
+    PathName,
+    bars,
+    force_option,
+    json_option,
+    names_option,
+    print_json,
+    refuse_existing,
+)
 from imuarray.json_values import json_value
 from imuarray.printable import printable
 
@@ -25,12 +33,12 @@ _output = click.option(
     "-o",
     "--output",
     required=True,
-    type=click.Path(path_type=Path),
+    type=PathName(),
     metavar="CAL.toml",
     help="the calibration file to write",
 )
 _update = click.option("--update", is_flag=True, help="keep the contents of CAL.toml and add to them")
-_logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, type=click.Path(path_type=Path))
+_logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, type=PathName())
 
 
 def _by_logs(function: Callable[..., None]) -> Callable[..., None]:
@@ -144,12 +152,12 @@ def turn_on(runs: tuple[Path, ...], seed: int, **options: Any) -> None:
 
 
 @command.command("axes", short_help="axes of every sensor, from a few poses held by hand")
-@click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
+@click.argument("run", metavar="RUN.h5", type=PathName())
 @click.option(
     "-o",
     "--output",
     required=True,
-    type=click.Path(path_type=Path),
+    type=PathName(),
     metavar="ARRAY.toml",
     help="the log's configuration, completed with the axes",
 )
@@ -187,7 +195,7 @@ def axes(run: Path, output: Path, poses: tuple[str, ...], force: bool, as_json: 
 
 
 @command.command("compare", short_help="what changed between calibrations of one array")
-@click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=PathName())
 @json_option
 def compare(files: tuple[Path, ...], as_json: bool) -> None:
     """Compare calibrations of one array: print what changed, and by how many standard errors.

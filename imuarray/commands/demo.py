@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from imuarray.commands.options import Duration, force_option, json_option, print_json, workers_option
+from imuarray.commands.options import Duration, PathName, force_option, json_option, print_json, workers_option
 from imuarray.shipped import find_config
 
 PAPERS_ARRAY = "martin2013"
@@ -20,7 +20,7 @@ PAPERS_ARRAY = "martin2013"
     "--output",
     default="demo",
     show_default=True,
-    type=click.Path(path_type=Path, file_okay=False),
+    type=PathName(file_okay=False),
     help="folder for the logs and the page",
 )
 @click.option(

@@ -11,6 +11,7 @@ import click
 
 from imuarray.atomic import save_figure, write_text
 from imuarray.commands.options import (
+    PathName,
     declared,
     json_option,
     names_option,
@@ -81,7 +82,7 @@ class ValidateOptions:
     folders: tuple[Path, ...] = option(
         "--cases",
         multiple=True,
-        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        type=PathName(exists=True, file_okay=False),
         metavar="FOLDER",
         help="cases from other generators, scored separately (python -m pydoc imuarray.validation.case_folder)",
     )

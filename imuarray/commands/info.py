@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -174,6 +176,16 @@ def _print(summary: dict[str, Any]) -> None:
         _print_line(f"  and {len(summary['events']) - 20} more events (--json lists all)")
 
 
+_UNLIMITED = 1 << 20
+"""Columns of an output that is no terminal, and for which COLUMNS is not set."""
+
+_LEAST_WIDTH = 40
+
+
 def _print_line(text: str) -> None:
-    """Print a line with control characters escaped, because it may contain text from a file."""
-    click.echo(printable(text))
+    """Print a line with control characters escaped, because it may contain text from a file. One that is longer than
+    the terminal is wide goes on in further lines, indented.
+    """
+    width = max(get_terminal_size((_UNLIMITED, 24)).columns, _LEAST_WIDTH)
+    for line in wrap(printable(text), width, subsequent_indent=" " * 6, break_on_hyphens=False, break_long_words=False):
+        click.echo(line)

@@ -22,8 +22,25 @@ from imuarray.errors import ImuArrayError, OutputExistsError
 from imuarray.json_values import json_value
 from imuarray.printable import duration, encodable
 
-config_argument = click.argument("config", type=click.Path(path_type=Path))
-log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
+
+class PathName(click.Path):
+    """The name of a file or folder, converted to a Path. An empty name, which a Path takes for the current folder, is a
+    usage error.
+    """
+
+    def __init__(self, *, exists: bool = False, file_okay: bool = True) -> None:
+        """Check names as `click.Path` with the same arguments does."""
+        super().__init__(exists=exists, file_okay=file_okay, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the Path; a usage error states that a name is empty."""
+        if value == "":
+            self.fail("the name is empty", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+config_argument = click.argument("config", type=PathName())
+log_argument = click.argument("run", metavar="RUN.h5", type=PathName())
 bus_option = click.option(
     "--bus",
     "bus_url",
@@ -71,7 +88,7 @@ _Result = TypeVar("_Result")
 _PARAMETER = "parameter"
 """Key in the metadata of a field: the function of its name and type that returns the decorator of its parameter."""
 
-_PATH = click.Path(path_type=Path)
+_PATH = PathName()
 _TYPES: Mapping[str, Mapping[str, Any]] = {
     "bool": {"is_flag": True},
     "Path": {"type": _PATH},
@@ -107,7 +124,7 @@ def option(*declarations: str, **settings: Any) -> Any:
 
 def output_option(*, folder: bool = False, **settings: Any) -> Any:
     """Return a field of a class of options that is the output of a command, a file or a `folder`."""
-    return option("-o", "--output", type=click.Path(file_okay=not folder, path_type=Path), **settings)
+    return option("-o", "--output", type=PathName(file_okay=not folder), **settings)
 
 
 def takes(options: type[_Options]) -> Callable[[Callable[[_Options], _Result]], Callable[..., _Result]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imuarray.atomic import write_text
-from imuarray.commands.options import force_option, json_option, prepare_folder, print_json, progress
+from imuarray.commands.options import PathName, force_option, json_option, prepare_folder, print_json, progress
 
 if TYPE_CHECKING:
     from imuarray.studies.paper.replica import ExperimentData, Replica
@@ -20,7 +20,7 @@ _GAP_FILE = "gap.json"
 output_option = click.option(
     "-o",
     "--output",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=PathName(file_okay=False),
     metavar="DIR",
     help="write paper.json, one CSV file per table and, with matplotlib, figures (--replica: replica.json and the page "
     "paper.html; --gap: gap.json) into DIR",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import re
+import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -24,8 +27,10 @@ EXIT_CODES = (
 
 def run(command: click.Command, name: str, arguments: Sequence[str] | None = None) -> int:
     """Run a command as the program `name` with `arguments` (None: those of the process), and return the exit code:
-    `EXIT_CODES`. An error is printed in one line on standard error.
+    `EXIT_CODES`. An error is printed in one line on standard error. To print on a closed standard output is an error.
     """
+    if sys.stdout is None:  # its descriptor was closed when the process started
+        sys.stdout = io.TextIOWrapper(_ClosedOutput(), "utf-8", write_through=True)
     try:
         words = None if arguments is None else list(arguments)
         with _warnings_as_lines(name):
@@ -47,6 +52,16 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         place = f"{error.filename}: " if error.filename else ""
         return _end(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
     return result if isinstance(result, int) else 0
+
+
+class _ClosedOutput(io.RawIOBase):
+    """Standard output without a descriptor. Without it, Python drops what is printed, and the program would succeed."""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: object) -> int:
+        raise OSError(errno.EBADF, "standard output is closed; nothing can be printed")
 
 
 def _explained(error: click.ClickException) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import json_option, log_argument, print_json, progress, refuse_existing
+from imuarray.commands.options import PathName, json_option, log_argument, print_json, progress, refuse_existing
 
 
 @click.command("recover")
@@ -14,7 +14,7 @@ from imuarray.commands.options import json_option, log_argument, print_json, pro
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=PathName(),
     metavar="FILE.h5",
     help="write the finished log here and leave RUN.h5 unchanged (useful if its disk is full)",
 )

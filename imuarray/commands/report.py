@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from imuarray.commands.options import (
+    PathName,
     force_option,
     json_option,
     print_json,
@@ -17,8 +18,8 @@ from imuarray.commands.options import (
 
 
 @click.command("report")
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="report.html", help="the page")
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PathName())
+@click.option("-o", "--output", required=True, type=PathName(), metavar="report.html", help="the page")
 @click.option("--title", default="", metavar="TEXT", help="heading of the page (default: the names of the files)")
 @workers_option
 @force_option
