@@ -6,10 +6,10 @@ in the `WINDOW_S` with the most motion: its rate is a sum of the reference's rat
 of the reference's rate along the same axis. All of these are fitted at once by least squares, so that scale factors and
 misalignments are not mistaken for a delay; the times are then shifted by d, and the fit is repeated.
 
-The time of a synchronisation pulse as one sensor has it is the time of the marked row less the time since the pulse
-(`sync_pulse`), which is scaled by the sensor's actual rate: chips measure it, or half a period, by their own
-oscillators. The mean difference from the reference's times of the same pulses is the error of one sensor's times
-against the other's, whatever the rows contain.
+A sensor's time of a synchronisation pulse is the time of the marked row minus the time since the pulse (`sync_pulse`).
+That time is scaled by the sensor's actual rate, because chips measure it by their own oscillators; the same holds for
+half a period where a chip does not measure it. The mean difference from the reference's times of the same pulses is the
+error of the sensor's times relative to the reference, whatever the rows contain.
 """
 
 from __future__ import annotations
@@ -52,8 +52,9 @@ class SensorAlignment:
     `row_apart_s` is the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s`, with its
     standard error, is the delay of the sensor's response to a rotation; None if no motion determines it, and for
     sensors other than gyroscopes. `time_uncertainty_s` is the median of the largest errors of the sensor's times as
-    stated in the log; None if not stated. `pulse_offset_s`, with its error, is the mean time by which the sensor has
-    the `pulses` synchronisation pulses later that it has in common with the sensor `pulses_from`; None without pulses.
+    stated in the log; None if not stated. `pulse_offset_s`, with its error, is the mean time by which this sensor's
+    times of the `pulses` synchronisation pulses in common with the sensor `pulses_from` are later than that sensor's;
+    None without pulses.
     """
 
     name: str
@@ -177,7 +178,7 @@ def _offsets_s(reference: SensorLog, sensor: SensorLog) -> Floats:
 
 
 def _motion_from_ns(gyroscope: SensorLog) -> int | None:
-    """Return the beginning of the `WINDOW_S` with the most motion, by the squared changes of the rates."""
+    """Return the start of the window of `WINDOW_S` with the largest sum of squared changes of the rates."""
     start_ns = int(gyroscope.time[0])
     seconds = int((int(gyroscope.time[-1]) - start_ns) * 1e-9) + 1
     squares = np.zeros(seconds)
@@ -278,15 +279,16 @@ PULSE_WINDOW_S = 600.0
 """Duration of the stretch in the middle of a log in which pulses are compared."""
 LEAST_PULSES = 5
 _SHARE_OF_SPREAD = 0.5
-"""Differences of pulses that fall at any phase of the samples scatter; if they scatter less than this share of what
-uniform phases would make, they are at fixed phases, and their mean is known no better than each of them.
+"""Least scatter of the time differences of pulses, relative to that of pulses at uniformly distributed phases of the
+samples. Below it the pulses are assumed to be at fixed phases, and the mean difference is no more precise than a single
+one.
 """
 _BLOCK_ROWS = 1 << 16
 
 
 class PulseOffset(NamedTuple):
-    """The number of pulses that a sensor and the reference have both marked, the mean time (s) by which the sensor has
-    them later, and its error: the 95 % interval, or the largest possible error for pulses at fixed phases.
+    """The number of pulses marked by both a sensor and the reference, the mean time (s) by which the sensor's times of
+    them are later, and its error: the 95 % interval, or the largest possible error for pulses at fixed phases.
     """
 
     pulses: int
@@ -295,8 +297,9 @@ class PulseOffset(NamedTuple):
 
 
 def pulse_offsets(sensors: Sequence[SensorLog], rates_hz: Sequence[float]) -> dict[str, PulseOffset]:
-    """Return the offsets of those of the `sensors`, with rows at these rates, that have at least `LEAST_PULSES` pulses
-    in common with the first that has pulses; that one itself has 0. Empty for fewer than two.
+    """Return the pulse offsets of `sensors`, which have rows at these rates, relative to the first sensor with pulses;
+    the offset of that sensor is 0. Sensors with fewer than `LEAST_PULSES` pulses in common with it are omitted. Empty
+    for fewer than two sensors.
     """
     trains = {
         sensor.name: train

@@ -63,9 +63,10 @@ def allan_deviation(
 ) -> AllanCurve:
     """Allan deviation of `values` (n,) or (n, k), column by column, sampled every `interval_s` seconds.
 
-    `factors` are averaging factors from 1 to n // 2; octaves if None. `confidence` is the share of intervals that hold
-    the true deviation. `estimator`: "overlapping" takes every term, "decimated" one in m / 8 or fewer. ValueError for
-    anything else: fewer than two values, values that are not real and finite, an interval that is not positive.
+    `factors` are averaging factors from 1 to n // 2; octaves if None. `confidence` is the share of intervals that
+    contain the true deviation. `estimator`: "overlapping" uses every term, "decimated" one term in m / 8 or fewer rows.
+    ValueError for anything else: fewer than two values, values that are not real and finite, an interval that is not
+    positive.
     """
     series = _checked(values, interval_s)
     used_factors = _factors(len(series), factors)
@@ -107,8 +108,8 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
     """Return the overlapping Allan deviation, at octaves of the longest run, of k equally long columns of counts that
     consist of runs of these `lengths`, one after the other with gaps between them: the mean over all terms within runs.
 
-    The noise type is estimated from the longest run. Memory holds one column's running sum and the place of every row
-    in its run. ValueError for fewer than two counts.
+    The noise type is estimated from the longest run. One column's running sum and the position of every row in its run
+    are held in memory. ValueError for fewer than two counts.
     """
     if len(lengths) == 1:
         return allan_deviation_of_counts(columns, interval_s)

@@ -80,9 +80,9 @@ def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise 
     """Noise type of averages (n,) over `factor` values each; None if there are fewer than `MIN_AVERAGES`.
 
     A straight line is taken out. With the lag-1 autocorrelation r, r / (1 + r) is 0 for white noise and 1/2 for flicker
-    noise (Riley and Greenhall, "Power law noise identification using the lag 1 autocorrelation", EFTF 2004); what is
-    nearer to white noise, or falls faster, is white. The others are distinguished by r of the differences, which
-    averaging changes: -0.22 for flicker noise, from 0 at factor 1 to 1/4 for a random walk.
+    noise (Riley and Greenhall, "Power law noise identification using the lag 1 autocorrelation", EFTF 2004); noise with
+    a ratio nearer to that of white noise, or below it, is white. The others are distinguished by r of the differences,
+    which averaging changes: -0.22 for flicker noise, from 0 at factor 1 to 1/4 for a random walk.
     """
     if len(averages) < MIN_AVERAGES:
         return None
@@ -138,7 +138,8 @@ Runs = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviations in the unit of the series: a row per tau, and a column per column of the series if it had any.
+    """Allan deviations in the unit of the series: a row per tau, and a column per column of the series if the series is
+    two-dimensional.
 
     `tau_s`, `terms` (squares averaged) and `stride` (rows between their starts, 1: fully overlapping) are (t,);
     `deviation`, `low` and `high` (ends of its confidence interval), `freedom` (equivalent degrees of freedom) and
@@ -161,7 +162,7 @@ class AllanCurve:
     runs: Runs = ()
 
     def column(self, number: int) -> AllanCurve:
-        """Return the curve of one column of a series that had some."""
+        """Return the curve of one column of a two-dimensional series."""
         parts = {name: getattr(self, name)[:, number] for name in ("deviation", "low", "high", "freedom", "noise")}
         return replace(self, **parts, kurtosis=self.kurtosis[number])
 
@@ -225,8 +226,8 @@ class ChangeMoments:
         self._fourths += float(np.einsum("i,i", squares, squares))  # for "@", OpenBLAS would start threads
 
     def kurtosis(self) -> float:
-        """Return the excess kurtosis of the white noise in the column: twice that of the changes, which a drift hardly
-        affects, since the fourth cumulants and the variances of two readings add up. 0 for a constant.
+        """Return the excess kurtosis of the white noise in the column: twice that of the changes, because the fourth
+        cumulants and the variances of two readings add up. A drift hardly affects the changes. 0 for a constant column.
         """
         if not self._squares:
             return 0.0
@@ -234,14 +235,14 @@ class ChangeMoments:
 
 
 def octaves(rows: int) -> tuple[int, ...]:
-    """Averaging factors 1, 2, 4, ... up to a third of `rows`, where too few terms are left to mean anything."""
+    """Averaging factors 1, 2, 4, ... up to a third of `rows`; longer averaging times have too few terms."""
     return tuple(1 << power for power in range(max(rows // 3, 1).bit_length()))
 
 
 def stride_of(factor: int) -> int:
     """Rows between the starts of the decimated estimator: the largest divisor of `factor` up to an eighth of it.
 
-    A divisor, so that the running sum is needed at its multiples only.
+    It is a divisor so that the running sum is needed only at multiples of the stride.
     """
     limit = factor // STARTS
     return next((stride for stride in range(limit, 0, -1) if factor % stride == 0), 1)
@@ -309,7 +310,9 @@ _SPAN = 8.0
 """Ratio of averaging times over which the slope is computed: three octaves, about a decade."""
 
 _SLOPE_TOLERANCES = (0.02, 0.05, 0.1)
-"""Deviations of the slope from -1/2, tried in turn: the part of a curve that agrees best with white noise is used."""
+"""Largest deviations of the slope from -1/2, tried in turn, so that the part of a curve that agrees best with white
+noise is used.
+"""
 
 _SLOPE_FREEDOM = 20.0
 """Fewest degrees of freedom of a point from which a slope is computed."""
@@ -331,7 +334,7 @@ class WhiteNoiseEstimate:
 class Floor:
     """`instability` B in the series' unit from the lowest point of the curve, that point's interval (as B) and its tau.
 
-    `is_bound`: the curve still falls at its end (or rises from its start), so that the floor itself was not seen.
+    `is_bound`: the lowest point is at an end of the curve, so that the floor itself was not measured.
     """
 
     instability: float
@@ -344,7 +347,9 @@ class Floor:
 def white_noise(
     tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]
 ) -> WhiteNoiseEstimate | None:
-    """Estimate white noise from the shortest three octaves of one curve (t,) with slope -1/2; None without such."""
+    """Estimate white noise from the shortest three octaves of one curve (t,) with slope -1/2; None if no part has that
+    slope.
+    """
     if deviation.min() <= 0:
         return None
     parts = list(_parts(tau_s, freedom))
@@ -379,8 +384,8 @@ def floor(
     high: npt.NDArray[np.float64],
     freedom: npt.NDArray[np.float64],
 ) -> Floor | None:
-    """Return the lowest point of one curve (t,) among those with enough degrees of freedom; None without such, or for a
-    constant series.
+    """Return the lowest point of one curve (t,) among those with enough degrees of freedom; None if no point has
+    enough, or for a constant series.
     """
     sure = np.flatnonzero(freedom >= _FLOOR_FREEDOM)
     if len(sure) == 0 or deviation.min() <= 0:

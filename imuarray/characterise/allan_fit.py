@@ -11,20 +11,20 @@ random walk of the reading (rate random walk), R a ramp.
 
 Estimates at neighbouring tau are computed from the same rows. They are weighted by the inverse of their covariance
 under the fitted noise (generalised least squares; weights and fit alternate until they agree; no square is negative:
-Lawson and Hanson, "Solving Least Squares Problems", 1974). The sum of squared residuals is nearly chi-squared; its tail
-probability identifies a curve that is no such sum. In simulations 1 % of good fits are called bad, of short or long
-series.
+Lawson and Hanson, "Solving Least Squares Problems", 1974). The sum of squared residuals is nearly chi-squared; a small
+tail probability shows that the curve is not a sum of these noises. In simulations 1 % of good fits are rejected, for
+short and for long series.
 
-Covariance: averaging factors m and m' see the same series, so that their estimates are correlated. With second
-differences D of the integrated series, M terms at m, M' at m', and Gaussian noise (the fourth moment of normal
-variables)::
+Covariance: the estimates at averaging factors m and m' are computed from the same series and are therefore correlated.
+With second differences D of the integrated series, M terms at m, M' at m', and Gaussian noise (the fourth moment of
+normal variables)::
 
     cov(avar_m, avar_m') = 1 / (4 m^2 m'^2 M M') * sum over i, j of (2 r(j - i)^2 + 4 mu mu' r(j - i))
 
 where r is the covariance of D at m and D at m', a ninefold difference of the generalised autocovariance of the
-integrated noise, and mu their mean, which a ramp alone makes other than 0 (Greenhall and Riley, "Uncertainty of
-stability variances based on finite differences", PTTI 2003, who need m = m' only). r is linear in the squares of the
-model's coefficients, so that the sums are taken once for a length of series and hold for every model.
+integrated noise, and mu is their mean, which is 0 without a ramp (Greenhall and Riley, "Uncertainty of stability
+variances based on finite differences", PTTI 2003, for m = m'). r is linear in the squares of the model's coefficients,
+so that the sums are computed once for each length of series and hold for every model.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ _FINE = 12
 """Lags per averaging factor near the kinks of r; twice as many change a correlation by less than 0.003."""
 
 _FAR = 12.0
-"""Beyond this multiple of the longer factor, r of flicker noise is computed from its fourth derivative: less rounding.
+"""Multiple of the longer factor beyond which r of flicker noise is computed from its fourth derivative, which has a
+smaller rounding error.
 """
 
 _WIDER = 1.06
@@ -66,8 +67,9 @@ _MOST_LENGTHS = 24
 
 
 def merge_similar(runs: Runs) -> Runs:
-    """Return the runs (rows, number), those of similar lengths as so many of their mean length, where there are more
-    than `_MOST_LENGTHS` lengths: covariances change little within a tenth of the length.
+    """Return the runs (rows, number). If they have more than `_MOST_LENGTHS` different lengths, runs of similar lengths
+    are replaced by the same number of runs of their mean length: covariances change little within a tenth of the
+    length.
     """
     if len(runs) <= _MOST_LENGTHS:
         return runs
@@ -151,7 +153,7 @@ def _sums(factors: tuple[int, ...], rows: int) -> Sums:
 
 
 def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
-    """Covariance of second differences: at distance m from some start, at n from `lags` rows later."""
+    """Covariance of a second difference at distance m with one at distance n that starts `lags` rows later."""
     binomial = (1, -2, 1)
     shifts = np.array([b * n - a * m for a in range(3) for b in range(3)], float)
     signs = np.outer(binomial, binomial).ravel().astype(float)
@@ -183,11 +185,13 @@ def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
 
 
 _NEEDED = 5.41
-"""Least growth of the misfit when a term is removed: the 1 % quantile for a term that is zero, which is fitted as zero
-with probability 1/2 and otherwise has one degree of freedom."""
+"""Growth of the misfit on removal of a term from which on the term is needed. A term that is truly zero exceeds it with
+a probability of 1 %: it is fitted as zero with probability 1/2, and otherwise the growth is chi-squared with one degree
+of freedom.
+"""
 
 _SURE = 1.0
-"""Least half-width of an interval, relative to the squared coefficient, that includes zero."""
+"""Half-width of an interval, relative to the squared coefficient, from which on the interval includes zero."""
 
 _LEAST_SPREAD = 1e-6
 """Least relative standard deviation of an Allan variance."""
@@ -198,7 +202,9 @@ _LEAST_SIZE = 1e-3
 _WHITE = TERMS.index("white")
 
 _LEAST_KURTOSIS = -1.5
-"""Readings of two codes have -2; their variance would be taken for exactly known."""
+"""Least excess kurtosis that is used. Readings with only two codes have -2, for which the computed error of the
+variance would be 0.
+"""
 
 _TURNS = 30
 _TURNS_OF_BOUND = 3
@@ -240,7 +246,7 @@ class AllanEstimate:
     def whitener(self, theta: Floats) -> Floats:
         """Matrix (t, t) that makes the variances uncorrelated and of unit variance if `theta` is the truth.
 
-        A ramp alone has no scatter, and quantisation alone hardly any: both are given a little.
+        A ramp alone has no scatter and quantisation alone hardly any: for both, `_LEAST_SPREAD` is assumed.
         """
         decorrelated, spread = self._scatter(theta)
         return decorrelated / spread
@@ -287,7 +293,9 @@ class AllanEstimate:
 
 @dataclass(frozen=True)
 class AllanSolution:
-    """Squared coefficients (5,) by `TERMS`, their misfit, and what was fitted: whitened design (t, 5) and variances."""
+    """Squared coefficients (5,) by `TERMS`, their misfit, and the whitened design (t, 5) and whitened variances (t,)
+    that they were fitted to.
+    """
 
     theta: Floats
     misfit: float
@@ -296,8 +304,8 @@ class AllanSolution:
 
 
 def needed(estimate: AllanEstimate, fitted_terms: Sequence[int]) -> list[int]:
-    """Return the terms that are needed: each is tested against the best fit without it, weighted as if it were
-    not there.
+    """Return the terms that are needed: each is tested against the best fit without it, with the weights of that
+    fit.
     """
     terms = list(fitted_terms)
     while len(terms) > 1:
@@ -349,8 +357,8 @@ def interval_of(
 ) -> tuple[float, tuple[float, float]]:
     """Return the squared coefficient of one of the terms, and its interval.
 
-    The interval is normal in the logarithm; if it includes zero, it extends from zero to the value for which so low an
-    estimate has the same tail probability.
+    The interval is normal in the logarithm; if it includes zero, it extends from zero to the true value for which an
+    estimate this low has the same tail probability.
     """
     from scipy.special import ndtri
 
@@ -444,15 +452,15 @@ def fit_noise(
     shortest_s: float = 0.0,
     confidence: float = CONFIDENCE,
 ) -> NoiseFit | None:
-    """Fit a sum of `terms` to one column of the curve from `shortest_s` on; None if fewer than two points tell.
+    """Fit a sum of `terms` to one column of the curve from `shortest_s` on; None with fewer than two usable points.
 
-    Points tell if their deviation is not 0 (but for rounding) and they have 5 degrees of freedom; with fewer points
-    than terms the first terms alone are fitted. Terms are left out one after the other, the least needed first, as long
-    as one can be left out without the misfit growing by 5.41 (in theory a term that is not there stays with a chance of
-    1 %, in simulations 1 to 3 %; a weak flicker noise and a weak random walk can stand for one another, and their
-    intervals allow for it). Readings through a low-pass filter should be fitted from some of its time constants on:
-    `shortest_s`. Flicker noise is taken as continuous; sampled without a filter its variance is higher by 44 % at the
-    first factor, 5 % at 4 and 0.5 % at 16. ValueError for no or unknown terms.
+    Points are usable if their deviation is not 0 (except for rounding) and they have at least 5 degrees of freedom;
+    with fewer points than terms only the first terms are fitted. Terms are removed one after the other, the least
+    needed first, as long as the misfit grows by less than 5.41. (A term that is not in the data is kept with a
+    probability of 1 % in theory and 1 to 3 % in simulations. Weak flicker noise and a weak random walk can be mistaken
+    for each other, and their intervals allow for that.) Low-pass filtered readings should be fitted from a few of the
+    filter's time constants on: `shortest_s`. Flicker noise is taken as continuous; sampled without a filter its
+    variance is higher by 44 % at the first factor, 5 % at 4 and 0.5 % at 16. ValueError for no or unknown terms.
     """
     if not terms or set(terms) - set(TERMS):
         raise ValueError(f"terms are one or more of {', '.join(TERMS)}, not {', '.join(terms) or 'none'}")
@@ -494,10 +502,10 @@ def _coefficient(
 ) -> NoiseTerm:
     """Value and interval of one term in its unit.
 
-    It comes from the fit with the terms that are needed (and this one) and from that with all of them, so that it
-    allows for a term left out that looks much like this one. The interval of white noise is the mean of both: in
-    simulations with other noise, from none to strong, it holds the truth in 92 to 98 % of cases. The interval of slow
-    noise, which the others resemble more, spans both.
+    It comes from the fit with the terms that are needed (and this one) and from that with all of them, so that the
+    interval allows for a removed term that is similar to this one. The interval of white noise is the mean of both: in
+    simulations with other noise, from none to strong, it contains the true value in 92 to 98 % of cases. The intervals
+    of the other terms, which are more similar to one another, span both.
     """
     significant, name = term in included, TERMS[term]
     models = [sorted({*included, term}), list(fitted_terms)]

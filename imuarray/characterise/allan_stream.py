@@ -61,8 +61,8 @@ _DOT = 8192
 def running_sum(values: Values) -> Floats:
     """0 and the running sum (n + 1,) of the distance of `values` (n,) from a reference; ValueError if not finite.
 
-    A reference changes no second difference; it is whole, and the sum exact, where the values are whole numbers that
-    allow it, and else the mean, which keeps the sum small.
+    The reference does not change second differences. For whole numbers with an exact sum in float64 it is a whole
+    number; otherwise it is the mean, which keeps the sum small.
     """
     reference = values[0] if _fits(values) else values.mean(dtype=np.float64)
     phase = np.zeros(len(values) + 1)
@@ -102,14 +102,12 @@ def add_up(values: Values, reference: Any, total: float, out: Floats) -> None:
 
 
 def _near(values: Values, reference: np.integer[Any]) -> bool:
-    """Return whether whole numbers are exact in float64 once the reference is taken off; their difference may wrap
-    round.
-    """
+    """Return whether whole numbers minus the reference are exact in float64; the difference may overflow."""
     return max(int(values.max()) - int(reference), int(reference) - int(values.min())) < EXACT
 
 
 def _fits(values: Values) -> bool:
-    """Return whether the running sum of the distance from one of the values is exact for certain."""
+    """Return whether the running sum of the differences from one of the values is certain to be exact."""
     if values.dtype.kind not in "biu":
         return False
     span = 1 << 8 * values.dtype.itemsize if values.dtype.itemsize <= 2 else int(values.max()) - int(values.min())
@@ -134,7 +132,9 @@ def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> 
 
 
 def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distances: Sequence[int]) -> list[float]:
-    """Return the same of a series with gaps: over the ends e whose `place` in their run, (n + 1,), is 2m or more."""
+    """Return the same sums for a series with gaps: over the ends e with a `place` (n + 1,) in their run of 2m or
+    more.
+    """
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
     for start in range(0, len(phase), _BLOCK):
@@ -182,10 +182,10 @@ _OCTAVES = tuple(1 << power for power in range(36))
 class AllanStream:
     """Collects a series (n,) or (n, k) block by block; `curve` is its Allan deviation so far.
 
-    `factors` are averaging factors, octaves if None: a column then needs 200 KiB a factor, however long the series.
-    The decimated estimator keeps 2 m / `stride_of(m)` values of a factor m, 16 if 8 divides it. The overlapping one
-    keeps 4 values per row of its longest factor, and its factors are to be named. Whole numbers are summed exactly
-    while their distances from the first add up to less than 2^53. ValueError for anything else.
+    `factors` are averaging factors, octaves if None: a column then needs 200 KiB a factor, however long the series. The
+    decimated estimator keeps 2 m / `stride_of(m)` values of a factor m, 16 if 8 divides it. The overlapping one keeps 4
+    values per row of its longest factor, and its factors must be given. Whole numbers are summed exactly while their
+    distances from the first add up to less than 2^53. ValueError for anything else.
     """
 
     def __init__(
@@ -226,7 +226,7 @@ class AllanStream:
         """Return the Allan deviation of all rows so far, at the factors for which they suffice; ValueError for fewer
         than two rows.
 
-        Octaves end at a third of the rows, named factors at half of them.
+        Octaves end at a third of the rows, given factors at half of them.
         """
         if self._rows < 2:
             raise ValueError(f"{self._rows} rows have no Allan deviation, at least 2 are required")

@@ -1,11 +1,11 @@
 """Wide lines of a spectrum: boxes of neighbouring bins with more power than the bins on either side.
 
-Such are the lines of a motor whose speed wanders, of a fan, of a slow sway. Boxes of a few to many bins are compared
-with the bins on either side of them: the mean density in a box over the higher of the two sides' medians, so that
-neither a slope nor the corner of a filter looks like a line. For noise this ratio has Fisher's F distribution; the
-false-alarm probability applies to all boxes of all widths together (Bonferroni). Narrow lines
-(`imuarray.characterise.lines`) are removed first. Boxes begin at the third bin, where a floor that needs many bins
-below it is not available: slow lines are detected here even if they are narrow.
+Examples are a motor with a varying speed, a fan and a slow sway. Boxes of 4 to 128 bins are compared with the bins on
+either side of them: the mean density in a box over the higher of the two sides' medians, so that neither a slope nor
+the corner of a filter looks like a line. For noise this ratio has Fisher's F distribution; the false-alarm probability
+applies to all boxes of all widths together (Bonferroni). Narrow lines (`imuarray.characterise.lines`) are removed
+first. Boxes begin at the third bin, where a floor that needs many bins below it is not available: slow lines are
+detected here even if they are narrow.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RISES = 1.35
 """Least ratio of a box to both its sides: ripples of filters and of floors are smaller."""
 
 SLACK = 1.08
-"""The allowance for the curvature of a floor: a box may rise by this above its sides' medians without a line."""
+"""Allowance for the curvature of the floor: the ratio of a box to its sides is divided by it before the test."""
 
 _FIRST = 3
 _LOWEST = 2
@@ -36,7 +36,9 @@ _LOWEST = 2
 
 _LEAST_SIDE = 4
 _SIDE = 2
-"""The width of a side in boxes; it begins half a box away, because a line as wide as its box has skirts."""
+"""The width of a side in boxes. A side begins half a box away from the box, because a line as wide as the box also has
+some power beyond it.
+"""
 
 _SHARED = 1.94
 """Number of bins with the information of one independent bin: Hann-windowed neighbours correlate by 4/9 and 1/36 in
@@ -60,7 +62,9 @@ class Band(SpectralLine):
 
 @dataclass(frozen=True)
 class _Box:
-    """Indices [first, stop), the density of the floor about them, and the chance of noise so high in all boxes."""
+    """Indices [first, stop), the density of the floor near them, and the probability that noise is this high in any of
+    the boxes.
+    """
 
     first: int
     stop: int
@@ -118,8 +122,8 @@ def _boxes(density: Floats, freedom: float) -> list[_Box]:
 
 
 def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:
-    """Return the higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many
-    bins the shorter side has.
+    """Return the higher of the medians of the sides of each box (b,), inf where a side does not fit into the spectrum,
+    and the number of bins of the shorter side.
     """
     span = _SIDE * width
     floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
@@ -136,7 +140,7 @@ def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indic
 
 
 def _band(spectrum: Spectrum, density: Floats, box: _Box) -> Band:
-    """Return the line in a box: its power above the floor, there and as far beside it as it rises."""
+    """Return the line in a box: its power above the floor, in the box and in half its width on either side."""
     width = box.stop - box.first
     bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))
     excess = density[bins] - box.floor

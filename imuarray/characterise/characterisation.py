@@ -247,8 +247,9 @@ PLOTS = ("allan", "spectrum", "autocorrelation", "histogram")
 
 class Coefficient(NamedTuple):
     """A noise coefficient with its 95 % interval, in `unit`: the sensor's unit (g or dps), per root hertz for "white",
-    per root second for "random walk". Not `significant`: not seen in the log, and at most `high`. `doubtful`: the Allan
-    deviation is not a sum of the fitted noises, and the value may be that of a line, a drift or coloured noise.
+    per root second for "random walk". If not `significant`, the log does not show this noise, which is at most `high`.
+    If `doubtful`, the Allan deviation is not a sum of the fitted noises, and the value may be that of a line, a drift
+    or coloured noise.
     """
 
     value: float
@@ -293,7 +294,7 @@ class Characterisation:
 
     def coefficient(self, sensor: str, axis: str, term: str = "white") -> Coefficient | None:
         """White noise density ("white"), bias instability ("flicker") or rate random walk ("random walk") of an axis;
-        None where the log was too short to fit any. LogError for a sensor, an axis or a term that there is not.
+        None if the log was too short for a fit. LogError for an unknown sensor, axis or term.
         """
         if term not in TERMS:
             raise LogError(f"term {term!r}: allowed are {', '.join(TERMS)}")

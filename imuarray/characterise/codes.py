@@ -1,14 +1,14 @@
 """Codes of a converter and their density: only even codes, missing codes, clipped ends.
 
-The probabilities assume independent readings. For noise that is correlated over many rows (a drift of several codes)
-they are too small; shares and counts are therefore given as well.
+The probabilities assume independent readings. They are too small for noise that is correlated over many rows (a drift
+of several codes), so shares and counts are given as well.
 
 Clipping (`Rails`): a rail is the last code of a sensor. It is an end of the codes' bits; the code of range times
-sensitivity, if readings reach it and none is beyond; or an accumulation of readings at the largest code, because a
-range, a filter or a driver may end elsewhere. A density falls towards its ends, so the last code is no more frequent
-than any of those before it; an accumulation that contradicts this is a rail if it is near the range's end, or, if
-smooth motion that turns there does not explain it, if the other axes move in it. (At rest, the readings of a coarse
-sensor with one face down accumulate as well, but then the other axes do not move.)
+sensitivity, if readings reach but do not exceed it; or an accumulation of readings at the largest code, because a
+range, a filter or a driver may end elsewhere. A density falls towards its ends, so that the last code is no more
+frequent than any code before it. An accumulation that contradicts this is a rail if it is near the end of the range.
+Elsewhere it is a rail if a smooth motion that reverses there does not explain it and another axis moves meanwhile. (At
+rest, the readings of a coarse sensor with one face down accumulate as well, but then the other axes do not move.)
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from imuarray.arrays import Integers
 from imuarray.log import SensorLog
 
 RARE = 1e-3
-"""Share of the readings whose rarest codes do not count for the usual step, because a glitch may give any code."""
+"""Share of the readings, those with the rarest codes, that is ignored for the usual step, because a glitch may produce
+any code.
+"""
 
 NARROW = 2.0
 """Least spread in steps for tests of even codes and of the ends: for Gaussian noise with this spread the shares of even
@@ -36,7 +38,7 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Histogram:
-    """The `codes` (c,) that occurred, ascending, and how often: `counts` (c,)."""
+    """The `codes` (c,) that occurred, ascending, and the number of readings with each: `counts` (c,)."""
 
     codes: Integers
     counts: Integers
@@ -56,7 +58,9 @@ NOTHING = Histogram(np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
 def histogram(values: npt.NDArray[np.integer]) -> Histogram:
-    """Return the histogram of whole numbers (n,); blocks are merged, which takes as much memory as there are codes."""
+    """Return the histogram of whole numbers (n,); the histograms of blocks are merged, so that memory grows with the
+    number of codes only.
+    """
     if len(values) == 0:
         return NOTHING
     low, high = int(values.min()), int(values.max())
@@ -69,8 +73,8 @@ def histogram(values: npt.NDArray[np.integer]) -> Histogram:
 
 
 def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
-    """Return the histogram of each row of (k, n), all counted at once where the rows are about as wide as they are
-    long.
+    """Return the histogram of each row of (k, n), all counted at once unless the range of the codes is much larger than
+    n.
     """
     if values.shape[1] == 0:
         return [NOTHING] * len(values)
@@ -90,7 +94,7 @@ class CodeGap:
 
     `p_value` is an upper bound of the probability of that anywhere in the histogram for a density with a single
     maximum: each of the m codes is at least as likely as the rarer of the two neighbours, and if that occurs n times,
-    the probability that none of the m does is (1 + m)^-n; times the number of neighbours that are tested.
+    the probability that none of the m does is (1 + m)^-n. It is multiplied by the number of neighbours that are tested.
     """
 
     first: int
@@ -100,7 +104,8 @@ class CodeGap:
 
 @dataclass(frozen=True)
 class End:
-    """The lowest or highest `code`, the `share` of readings that have it, and the probability that it is so frequent.
+    """The lowest or highest `code`, the `share` of readings that have it, and the probability `p_value` of a share at
+    least as large.
 
     A density falls towards its ends, so that the last code is at most as frequent as the one before (binomial
     distribution of both together). nan if the spread is too narrow.
@@ -116,11 +121,11 @@ class CodeDensity:
     """Moments and code-density test of one column of counts; nan where there are too few readings.
 
     `skewness` and `excess_kurtosis` are unbiased for Gaussian noise and have standard errors (Joanes and Gill, The
-    Statistician 47, 1998; Cramer, "Mathematical methods of statistics", 29.3). `even_share` of all readings, `even_p`
-    the chance of a share so far from half. `step` divides every distance of codes, `usual_step` those of all but the
-    rarest codes; 0 for a constant column. `missing_codes` on the grid of the usual step between `low_end` and
-    `high_end`; the most improbable gaps are `missing`. `span_share` of the readings are at or beyond an end of the
-    converter's span (nan if unknown).
+    Statistician 47, 1998; Cramer, "Mathematical methods of statistics", 29.3). `even_share` is the share of even codes
+    in all readings, `even_p` the probability of a share at least as far from one half. `step` is the greatest common
+    divisor of the differences of codes, `usual_step` that of all but the rarest codes; 0 for a constant column.
+    `missing_codes` on the grid of the usual step between `low_end` and `high_end`; the most improbable gaps are
+    `missing`. `span_share` of the readings are at or beyond an end of the converter's span (nan if unknown).
     """
 
     readings: int
@@ -142,7 +147,7 @@ class CodeDensity:
 
 
 def code_density(distribution: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
-    """Return the statistics of a histogram of codes; `span` are the lowest and the highest code that there are.
+    """Return the statistics of a histogram of codes; `span` is the lowest and the highest code of the converter.
     ValueError without readings.
     """
     readings = int(distribution.counts.sum())
@@ -239,8 +244,9 @@ BEFORE = 8
 
 FALLING = 1 / (BEFORE + 1)
 TURNING = FALLING**0.5
-"""Share of the last code among itself and those before it: at most the first where the density falls to its end, the
-second where a smooth motion turns (the time that x = x_max - t^2 spends beyond a code grows with the square root).
+"""Largest share of the last code in its readings and those of the `BEFORE` codes before it: `FALLING` if the density
+falls towards its end, `TURNING` if a smooth motion reverses there (the time for which x = x_max - t^2 exceeds a code
+grows with the square root of the distance from x_max).
 """
 
 SURE = 1e-6
@@ -254,16 +260,17 @@ NEAR_RANGE = 0.1
 
 MOVING_STEPS = 20.0
 """Least spread of another axis, in steps of its codes, that shows motion while readings accumulate: noise alone seldom
-has as much, and a coarse sensor at rest has none."""
+has this spread, and a coarse sensor at rest has none.
+"""
 
 _BLOCK_ROWS = 1 << 14
-"""Rows that are read at once, as of most passes over a log: an import then needs no more memory either."""
+"""Rows that are read at once, as in most passes over a log, so that an import needs no more memory than the others."""
 
 
 @dataclass(frozen=True)
 class Rails:
-    """Lowest and highest code (3,) of each axis, at and beyond which it clips: -inf, inf where it does not. `rows`
-    (3,): how many readings do.
+    """Lowest and highest code (3,) of each axis, at and beyond which readings are clipped: -inf and inf for an axis
+    that is not clipped. `rows` (3,) is the number of clipped readings.
     """
 
     low: npt.NDArray[np.float64]
@@ -271,7 +278,7 @@ class Rails:
     rows: Counts
 
     def clipped(self, counts: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-        """Return (n,) which rows (n, 3) clip."""
+        """Return (n,) which rows (n, 3) have a clipped axis."""
         return np.asarray(((counts <= self.low) | (counts >= self.high)).any(axis=1))
 
 
@@ -322,7 +329,9 @@ def _at_end(distribution: Histogram, side: int, nominal: int) -> bool | None:
 
 
 def _is_pile(distribution: Histogram, side: int, share: float) -> bool:
-    """Return whether the last code on a side comes more often than `share` of it and the codes before it allows."""
+    """Return whether the last code on a side is significantly more frequent than the `share` of its readings and those
+    of the codes before it allows.
+    """
     code = int(distribution.codes[-1 if side > 0 else 0])
     count = int(distribution.counts[-1 if side > 0 else 0])
     step = usual_step(distribution)

@@ -19,7 +19,8 @@ Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 
 LAGS = 32
 SEGMENT = 8192
-"""Rows of a segment, whose mean is removed: 20 s at 400 Hz. So few products are summed without starting threads."""
+"""Rows of a segment, whose mean is removed: 20 s at 400 Hz. Sums of so few products do not start threads of OpenBLAS.
+"""
 
 _AT_ONCE = 1 << 15
 """Rows of whole segments that are processed together: for short segments the calls would take longer than the sums."""
@@ -103,7 +104,7 @@ class Autocovariance:
         return Autocorrelation(lag, correlation, error, statistic, p_value, *counts)
 
     def correlation(self) -> Floats:
-        """Return (l, k) the correlation alone, as `result` has it; ends the run."""
+        """Return (l, k) the correlation alone, without the statistics of `result`; ends the run."""
         self.end_run()
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = self._products[0] / (self._rows - self._segments)

@@ -17,7 +17,7 @@ SURE = 1e-6
 """The probability below which a finding is significant, whatever the number of axes."""
 
 _SHARED_S = 1e-7
-"""Longest interval between rows that were written with the same time: the importer separates these by 1 ns."""
+"""Longest interval, in s, between rows that had the same time in the source: the importer separates these by 1 ns."""
 
 _CORRELATED = 0.05
 _CLIPPED_SHARE = 1e-4
@@ -48,7 +48,7 @@ Place = tuple[str, str]
 @dataclass(frozen=True)
 class _Remark:
     """A sentence about an axis of a sensor ("": about the sensor), with a field of `str.format` for each of the
-    `numbers`, which are spelled already and sorted by `values`.
+    `numbers`, which are already formatted and are sorted by `values`.
     """
 
     place: Place
@@ -127,8 +127,8 @@ def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
 
 
 def shares_times(kind: str, usual_s: float) -> bool:
-    """Return whether rows that arrive in bursts, usually `usual_s` apart, were written with the same time: a coarse
-    clock and not a late host.
+    """Return whether rows that arrive in bursts, usually `usual_s` apart, have the same times: the clock is coarse, and
+    the host was not late.
     """
     return kind == "bursts" and usual_s < _SHARED_S
 
@@ -232,7 +232,9 @@ def _code_span(gap: Mapping[str, Any]) -> str:
 
 
 def _slow_change(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
-    """Describe axes whose variance is larger than that of their spectrum, whose segments have no mean."""
+    """Describe axes with a variance larger than that of their spectrum, from which the mean of each segment is
+    removed.
+    """
     spectrum = sensor["spectrum"]
     if spectrum is None or spectrum["segments"] < _LEAST_SEGMENTS or len(spectrum["frequency_hz"]) < 2:
         return
@@ -295,7 +297,7 @@ class _AxisLine:
 
 
 def _lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Describe the strongest lines, one that several axes have once, and count the others."""
+    """Describe the strongest lines and count the others. A line that several axes have in common is described once."""
     groups: list[list[_AxisLine]] = []
     for line in sorted(_all_lines(sensors), key=lambda line: -line.share):
         same = next((group for group in groups if group[0].matches(line) and not _has_place(group, line)), None)
@@ -329,7 +331,7 @@ def _all_lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[_AxisLine]:
 
 
 def _line_in_words(group: Sequence[_AxisLine], places: str) -> str:
-    """One line, of the strongest of the axes that have it; amplitudes of all."""
+    """Describe one line: frequency and width of the axis where it is strongest, and the amplitudes of all axes."""
     strongest = group[0]
     line, scale = strongest.line, strongest.scale
     other_aliases = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]

@@ -12,8 +12,8 @@ gazebo     sensor of an .sdf        standard deviation N sqrt(f), and K as `dyna
 px4        plugin of an .sdf        N and K (`gazebo_imu_plugin.cpp` of PX4-SITL_gazebo-classic)
 ========== ======================== ==========================================================================
 
-These tools have one figure for all three axes: the largest of them is written. Where no random walk is seen there is no
-figure, only a comment with the bound that the record allows, so that every figure in a file was measured.
+These tools have one figure for all three axes: the largest of them is written. If no random walk is detected, the file
+has no figure for it, only a comment with the upper limit, so that every figure in a file was measured.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ _TYPICAL_CORRELATION_S = 3600.0
 
 @dataclass(frozen=True)
 class TriadNoise:
-    """Noise of the worst of three axes in SI: density N and random walk K of the bias, None where none was seen, and
-    the bounds below which the record says they stay (None without any). `verdict`: why the fit may not be trusted; then
-    noise of another kind would look like a random walk, and neither K nor its bound is stated.
+    """Noise of the worst of three axes in SI: density N and random walk K of the bias, None if not detected, and their
+    upper limits (None without a limit). `verdict` is the reason why the fit is not reliable; noise of another kind may
+    then look like a random walk, and neither K nor its limit is stated.
     """
 
     density: float | None
@@ -79,12 +79,14 @@ class ImuNoise:
 
 
 def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> TriadNoise | None:
-    """Return the noise of a triad from the fits of its axes, each the terms by name and a verdict; None if there is no
-    bound of its white noise, so that nothing is known.
+    """Return the noise of a triad from the fits of its axes, each the terms by name and a verdict; None if its white
+    noise has no upper limit, so that nothing is known.
     """
 
     def largest(term: str, part: str) -> float | None:
-        """Return a coefficient of the worst axis: the value of those in which it is seen, else the bound of all."""
+        """Return the largest coefficient of the axes: of the detected values, or of the upper limits if none is
+        detected.
+        """
         terms = [item for axis in axes if (item := axis["terms"].get(term))]
         values = [item[part] for item in terms if part != "value" or item["significant"]]
         return max(values) * si_per_count if values else None
@@ -100,8 +102,8 @@ def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> Triad
 
 
 def imus_of(result: Mapping[str, Any]) -> list[ImuNoise]:
-    """The IMUs of a `characterise_log` result: one of an accelerometer and a gyroscope if there is nothing else, and of
-    more sensors one each; the halves of a six-axis chip ("IMU1_acc", "IMU1_gyro") are one IMU.
+    """The IMUs of a `characterise_log` result: an accelerometer and a gyroscope are one IMU if the log has no other
+    sensors; otherwise each sensor is one. The halves of a six-axis chip ("IMU1_acc", "IMU1_gyro") are one IMU.
     """
     sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] in PREFIX and _noise(sensor) is not None]
     if len(sensors) == 2 and {sensor["quantity"] for sensor in sensors} == set(PREFIX):
@@ -258,7 +260,7 @@ TEXTS: Mapping[str, Callable[[ImuNoise], str]] = MappingProxyType(
 
 
 def _triads(imu: ImuNoise) -> list[tuple[str, TriadNoise]]:
-    """Return both quantities; of one that the IMU lacks nothing is known."""
+    """Return the noise of both quantities; all figures of a quantity that the IMU lacks are None."""
     return [(quantity, imu.triads.get(quantity, TriadNoise(None, None, None, None))) for quantity in INERTIAL]
 
 
@@ -298,7 +300,7 @@ def _yaml_key(key: str, value: float | None, bound: float | None, unit: str, ver
 
 
 def _yaml_number(value: float) -> str:
-    """Return a number that every reader of YAML takes for one: 1e-05 has no dot, which YAML 1.1 wants."""
+    """Return a number that every YAML parser reads as a number: YAML 1.1 requires a dot, which 1e-05 lacks."""
     text = f"{value:.6g}"
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text

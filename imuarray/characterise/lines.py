@@ -1,21 +1,20 @@
 """Lines of a spectrum: narrow peaks that are significant in noise, with frequency, amplitude and aliases.
 
-A bin is part of a line if noise would exceed its density with a chance of less than p / b, where b bins are looked at
+A bin is part of a line if noise would exceed its density with a chance of less than p / b, where b bins are searched
 and p is the false-alarm probability of the whole spectrum (Bonferroni: neighbouring bins are correlated, so that p is
-an upper bound). The ratio of noise in an averaged
-periodogram to its floor follows Fisher's F distribution.
+an upper bound). The ratio of noise in an averaged periodogram to its floor follows Fisher's F distribution.
 
 A sine of amplitude A, d bins off its nearest bin (|d| <= 1/2), has the power A^2 / 2 * W(d)^2 / 1.5 in that bin, where
 W(d) = sinc(d) / (1 - d^2) is the Hann window's transform and 1.5 its noise bandwidth. With the powers L-, L0, L+ of the
-three bins about it, from which the floor is taken off, the shape of W gives exactly::
+three bins around it, minus the floor, the shape of W gives exactly::
 
     g = (L+ - L-) / (L- + L0 + L+) = 4 d / (4 + d^2)
     W(d-1)^2 + W(d)^2 + W(d+1)^2 = 3 (2 + d^2) (4 + d^2) / (4 - d^2)^2 * W(d)^2
 
 The floor at each bin is read off its neighbours: the medians of the log density of the bins below and of those above,
-leaving out the nearest two on each side, where a line at the bin itself would show, are joined by a straight line over
-log frequency. This reproduces a power law exactly, and a line among the neighbours does not raise a median. The
-smoothed result is a trend; the curvature that it misses (a filter's corner) is estimated by the same procedure from the
+without the nearest two on each side, which a line at the bin itself raises, are joined by a straight line over log
+frequency. This reproduces a power law exactly, and a line among the neighbours does not raise a median. The smoothed
+result is a trend; the curvature that it misses (a filter's corner) is estimated by the same procedure from the
 remainder and added (Tukey, "Exploratory Data Analysis", 1977: twicing). The median of the gamma distribution of
 averaged periodograms is below its mean; the floor is corrected for that.
 """
@@ -37,7 +36,7 @@ from imuarray.characterise.spectrum import NOISE_BANDWIDTH, Spectrum
 from imuarray.series import window_medians
 
 FIRST_BIN = 24
-"""The least number of a line's cycles in a segment: below it the floor can't be distinguished from drift or a corner.
+"""Fewest cycles of a line in a segment: with fewer, a line can't be distinguished from drift or the corner of a filter.
 """
 
 _GUARD = 2
@@ -52,23 +51,27 @@ _SIDE = 32
 _LEAST = 8
 """Fewest bins on either side: a line takes three or four of them, which must be fewer than half.
 
-So the floor can be estimated from bin 12 on, and its remainder, which needs that on both sides, from twice that on."""
+The floor can therefore be estimated from bin 12 on, and its remainder, which needs the floor on both sides, from bin 24
+on.
+"""
 
 _SHARE = 0.4
 """Largest width of a side as a share of the frequency, so that the bend of a filter's corner is resolved."""
 
 _SIGNS = ((0, 1.0), (1, 0.293), (2, 0.018))
-"""Hann-windowed bins correlate by 4/9 and 1/36 in power, and so their signs about the median: 2 / pi arcsin of that."""
+"""Hann-windowed bins correlate by 4/9 and 1/36 in power, and the signs of their differences from the median by 2 / pi
+arcsin of that. Lag in bins, correlation of signs.
+"""
 
 _EXTREMES = (0.16, 0.84)
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Floor of one column at the `bins` (b,) that lines are looked for in: `density` (b,) in squared units per Hz.
-
-    `freedom` (b,) of the floor itself: its relative variance is 2 / freedom. `spectrum_freedom` (b,) of the density
-    above it, fewer than `Spectrum.freedom` says if the bins scatter more than that, as of noise that comes and goes.
+    """Floor of one column at the `bins` (b,) that are searched for lines: `density` (b,) in squared units per Hz.
+    `freedom` (b,) is that of the floor itself, with a relative variance of 2 / freedom. `spectrum_freedom` (b,) is that
+    of the densities, and is less than `Spectrum.freedom` if the bins scatter more than expected, as for noise with a
+    varying level.
     """
 
     bins: Indices
@@ -102,9 +105,7 @@ def _ratio_above(above: bytes, below: bytes, probability: float) -> Floats:
 
 
 def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
-    """Return the noise floor of one column of a spectrum; no bins in it where the column has no noise or too few
-    bins.
-    """
+    """Return the noise floor of one column of a spectrum; without bins if the column has no noise or too few bins."""
     power = np.array(spectrum.density[:, column])
     last = len(power) - 1
     if last < 4 * FIRST_BIN or not (power[_LOWEST:] > 0).all():
@@ -200,7 +201,9 @@ def _median(height: Floats, first: Indices, side: Indices) -> Floats:
 
 
 def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
-    """Means (b,) of the neighbours of each of all `bins` up to the last, half as far as the floor looks (b,)."""
+    """Means (b,) of the neighbours of each of all `bins` up to the last, over half the width of the sides of the
+    floor.
+    """
     half = np.minimum(_sides(bins, last) // 2, bins - bins[0])
     sums = np.concatenate([[0.0], np.cumsum(np.concatenate([height, height[-2 : -2 - _SIDE : -1]]))])
     at = bins - bins[0]
@@ -265,22 +268,23 @@ _SLOPE_BINS = np.arange(3, 11)
 """Offsets of the bins on either side from which the slope of the noise is estimated."""
 
 _MOST = 0.8
-"""Largest g, that of a line a whole bin off its peak: with noise it may exceed the half of a line without noise."""
+"""Largest |g|, that of a line a whole bin away from its peak: noise may make it larger than that of half a bin."""
 
 _SHARED = np.array([[1, 2 / 3, 1 / 6], [2 / 3, 1, 2 / 3], [1 / 6, 2 / 3, 1]])
 """Size of the correlation of the noise in three neighbouring Hann-windowed bins."""
 
 _TIMES = np.arange(64) / 64
-"""A segment, as finely as three bins need."""
+"""Times in a segment, in its lengths; 64 suffice for the three bins at a peak."""
 
 
 @dataclass(frozen=True)
 class SpectralLine:
     """One line: `frequency_hz` and `amplitude` (of the sine, in the series' unit) with standard errors.
 
-    `false_alarm` is the chance that noise makes such a peak anywhere in the spectrum, at most; `over_floor` the peak's
-    density over that of the noise. At half the rate a line has no phase: there the amplitude is that of +A, -A, +A, ...
-    A line that is wider than a bin or two (of a motor, say) has more amplitude than stands here.
+    `false_alarm` is an upper limit of the probability that noise has such a peak anywhere in the spectrum; `over_floor`
+    is the ratio of the peak's density to that of the noise. At half the rate a line has no phase: there the amplitude
+    is that of +A, -A, +A, ... The amplitude of a line wider than a bin or two (a motor, for example) is larger than
+    this.
     """
 
     frequency_hz: float
@@ -296,8 +300,8 @@ class LineSearch:
     """All `lines` of a column, strongest first, and the frequencies that were searched.
 
     `frequency_hz` (b,), the noise `floor` (b,) there and the `level` (b,) above which a density is a line, both in
-    squared units per Hz. `false_alarm` is the probability that `level` is for, over all b bins. No bins where there is
-    nothing to look at: too short segments, a constant column.
+    squared units per Hz. `false_alarm` is the probability that noise exceeds `level` in any of the b bins. b is 0 for
+    too short segments and for a constant column.
     """
 
     lines: tuple[SpectralLine, ...]
@@ -308,7 +312,7 @@ class LineSearch:
 
 
 def find_lines(spectrum: Spectrum, column: int = 0, false_alarm: float = FALSE_ALARM) -> LineSearch:
-    """Return the lines in one column of a spectrum; ValueError if `false_alarm` is no probability."""
+    """Return the lines in one column of a spectrum; ValueError if `false_alarm` is not a probability."""
     if not 0 < false_alarm < 1:
         raise ValueError(f"false_alarm is {false_alarm}, a probability is required")
     floor = noise_floor(spectrum, column)
@@ -345,8 +349,8 @@ def _mirrored(density: Floats) -> Floats:
 
 
 def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int]:
-    """Return which of the `bins` (b,) are peaks above the level (b,), strongest first, none that a stronger one leaks
-    to.
+    """Return which of the `bins` (b,) are peaks above the level (b,), strongest first, without those that are leakage
+    of a stronger one.
     """
     heights = power[bins]
     limit = np.concatenate([level[:-1], 2 * level[-1:]])
@@ -363,8 +367,8 @@ def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int
 def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) -> bool:
     """Return whether peak number `at` exceeds the four bins near it significantly.
 
-    The significance level is the square root of a bin's: so weak a condition loses few lines, and rejects hardly any
-    peak if the floor is right.
+    The significance level is the square root of that of a bin. This weak condition rejects few real lines; if the floor
+    is right, it rejects hardly any peak.
     """
     from scipy.special import fdtri  # scipy.stats is slow to import
 
@@ -431,7 +435,7 @@ def _beside_line(offset: float, spectrum: Spectrum) -> Floats:
     """Covariance (3, 3) of the three bins' powers from the product of line and noise, for unit power and unit noise.
 
     With the line's phase taken out, the noise of bin a in one segment is the sum of w(t) e^(-2 pi i (a - d) t) times
-    white noise, which the next segment sees half a segment later.
+    white noise, which the next segment contains half a segment earlier.
     """
     window = np.sin(np.pi * _TIMES) ** 2
     waves = window * np.exp(-2j * np.pi * np.outer(np.arange(-1, 2) - offset, _TIMES))

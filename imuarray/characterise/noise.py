@@ -3,9 +3,9 @@
 Rows are read in batches and blocks, never all at once, and the parts are merged (Chan, Golub and LeVeque, "Updating
 formulae and a pairwise algorithm for computing sample variances", 1979).
 
-Stale, saturated and suspect rows are left out of mean, spread and correlation: a stale row is the one before again and
-no new reading, a suspect one may be in other units, a saturated one is cut off. Leaving saturated rows out makes the
-spread too small, so the number of such rows stands beside it.
+Stale, saturated and suspect rows are left out of mean, spread and correlation: a stale row repeats the one before, a
+suspect row may be in other units, and a saturated row is clipped. Without saturated rows the spread is too small, so
+the number of these rows is given with it.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class NoiseStatistics:
-    """One sensor's rows at rest, in counts, per column (k,); nan where there are too few rows to tell.
+    """One sensor's rows at rest, in counts, per column (k,); nan where there are too few rows.
 
-    `rows` looked at, `used` of them; `flags` rows per flag of the log. `mean` and `std` (about that mean, n - 1) of the
-    used rows; `sem` the standard error of the mean, from the scatter of the means of up to 32 equally long batches, and
-    so with all correlation that dies out within a batch; `lag1` the autocorrelation of one used row and the next;
-    `even_share` the share of even codes among the used rows.
+    `rows` is the number of rows, `used` the number of rows that count as readings, `flags` the number of rows per flag
+    of the log. `mean` and `std` (about that mean, n - 1) of the used rows; `sem` the standard error of the mean, from
+    the scatter of the means of up to 32 equally long batches, which includes any correlation shorter than a batch;
+    `lag1` the autocorrelation of one used row and the next; `even_share` the share of even codes among the used rows.
     """
 
     rows: int
@@ -72,7 +72,9 @@ class _RunningMoments(NamedTuple):
 
 
 class _LagPairs(NamedTuple):
-    """Neighbouring rows about a fixed origin: how many, sum of both rows' values and sum of their products (k,)."""
+    """Pairs of neighbouring rows relative to a fixed origin: their number, the sum of both rows' values and the sum of
+    their products (k,).
+    """
 
     number: int
     both: Floats

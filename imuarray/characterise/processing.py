@@ -1,9 +1,9 @@
 """Readings that a program has processed: filtered, averaged, resampled or freed of gravity. A simulated chip does none
 of this, and noise after it is not that of the sensor.
 
-An import whose values lie on no grid of codes says so in the attribute `resolution` of a log's sensor. Resampling is
-looked for in such values only. A chip may filter its own codes: a filter of codes is named only if their spectrum falls
-more steeply than chips' filters do.
+The attribute `resolution` of a log's sensor states whether imported values are on a grid of codes. Resampling is
+searched for only in values that are not. A chip may filter its own codes: a filter of codes is reported only if their
+spectrum falls more steeply than that of a chip's filter.
 
 Rows that a program interpolated between readings (`find_interpolation`) are on the straight line between their
 neighbours, while the readings scatter by many counts. Phones and recorders resample in this way; the noise of such rows
@@ -48,20 +48,23 @@ CHIP_ORDER = 3
 """Highest order of the filters that chips have after their converters (ICM-42688-P: first to third)."""
 
 _BEYOND_ORDER = 0.5
-"""Share of the density one octave above its cutoff that a filter of this order leaves; a filter that leaves less is
-steeper.
+"""Factor, applied to the density that a filter of `CHIP_ORDER` leaves one octave above its cutoff; a filter that leaves
+less is steeper.
 """
 
 _LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
 """Frequency bands that are compared, relative to half the rate."""
 
 BEAT = 25.0
-"""Power of a line in the squared second differences, in medians of their periodogram, on all axes at once, from which
-on they come and go with the phase between two rates: by chance one axis exceeds it in one of 3e7 bins.
+"""Least power of a line in the squared second differences, in medians of their periodogram and on all axes at once,
+that shows resampling: the noise then varies with the phase between two rates. One axis exceeds it by chance in one of
+3e7 bins.
 """
 
 _LINE = 20.0
-"""Power of a line of the readings themselves, in medians near it, that makes such a line, too."""
+"""A fifth of the power, in medians of the bins near it, from which on a line of the readings themselves explains a line
+at twice its frequency in the squared second differences.
+"""
 
 HELD = 0.15
 """Share of repeated values on each axis above which repetition is not due to chance, in noise of many counts."""
@@ -74,7 +77,7 @@ NO_GRAVITY = 0.3
 
 
 def find_processing(sensor: SensorLog) -> list[str]:
-    """Return what a program did to the readings of a triad, as predicates; [] if nothing shows. Reads at most
+    """Return the processing of a triad's readings by a program, as predicates; [] if none is detected. Reads at most
     `_MOST_ROWS` rows, and all of them once for interpolation.
     """
     if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
@@ -97,7 +100,7 @@ def find_missing_gravity(sensor: SensorLog) -> str:
 
 
 def find_filters(sensor: SensorLog) -> Iterator[str]:
-    """Yield the filters of a program that show in the readings of a triad at rest."""
+    """Yield the filters of a program that are detected in the readings of a triad at rest, as predicates."""
     if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
         return
     values, rate_hz = _middle_rows(sensor)
@@ -153,8 +156,8 @@ def _middle_rows(sensor: SensorLog) -> tuple[Floats, float]:
 
 
 def _share_of_held_axes(windows: Floats) -> float:
-    """Return the share of values that repeat the one before on single axes, beyond chance; 0 if axes repeat together,
-    as those of a reading that is read twice do.
+    """Return the share of values that repeat the one before on single axes, beyond chance; 0 if all axes repeat
+    together, as they do when a reading is read twice.
     """
     same = np.diff(windows, axis=1) == 0
     shares = same.mean(axis=(0, 1))
@@ -211,7 +214,7 @@ class _LowPass(NamedTuple):
 
 
 def _low_pass(windows: Floats, rate_hz: float) -> _LowPass | None:
-    """Return the low pass that the noise of the quiet windows shows; None without one."""
+    """Return the low-pass filter that is detected in the noise of the quiet windows; None without one."""
     density = np.median(_densities(windows), axis=1)
     place = np.linspace(0, 1, len(density))
     low, high = (float(np.median(density[(place >= begin) & (place <= end)])) for begin, end in (_LOW, _HIGH))
@@ -239,8 +242,8 @@ def _octave_above(cutoff: float) -> float:
 
 
 def _beat_hz(values: Floats, rate_hz: float) -> float:
-    """Return the frequency at which the noise of all axes comes and goes, as that of readings which were interpolated
-    between those of another rate; 0 without one.
+    """Return the frequency at which the level of the noise of all axes varies, as it does in readings that were
+    interpolated from another rate; 0 without one.
     """
     bends = np.diff(values, n=2, axis=0)
     scale = np.abs(bends).mean(axis=0)

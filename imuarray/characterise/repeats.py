@@ -5,9 +5,9 @@ chance, all columns at once, if the noise is small compared with a count; that p
 are `APART` rows apart, where neither repeats nor the correlation of filtered noise matter. (Noise that changes by less
 than a count from row to row over longer times, in all columns, can't be distinguished from repeats.)
 
-`Stalls` are frozen readings where a rate passes 100 dps, of an ICM-42688-P whose adaptive range is on (TDK-18): the
-chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
-all axes.
+`Stalls` are frozen readings of an ICM-42688-P with its adaptive range on, where a rate passes 100 dps (TDK-18): the
+chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the previous row in all
+axes.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ STALE_SHARE = 0.015
 THRESHOLD_DPS = 100.0
 LEAST_STALLS = 3
 LEAST_SHARE = 0.5
-"""The least number of passages with a stall, and their least share of all, that are reported: equal rows also occur by
-chance.
+"""Fewest stalls (`LEAST_STALLS`), and least share of the passages with a stall, that are reported: equal rows also
+occur by chance.
 """
 
 _BLOCK_ROWS = 4096
@@ -42,10 +42,10 @@ _BLOCK_ROWS = 4096
 class Repeats:
     """The share of rows that equal the one before; nan without two neighbouring rows.
 
-    `repeat_share` of the rows that have a row before them; `chance_share` of those `APART` rows on that are equal (nan
-    if there are none); `new_share` of the rows are new readings, equal by chance or not: 1 - (repeat_share -
-    chance_share) / (1 - chance_share), at most 1. The longest run of equal rows is `longest` rows long and starts at
-    `longest_row`, counted from 0.
+    `repeat_share` is a share of the rows that have a row before them. `chance_share` is the share of rows that equal
+    the one `APART` rows before (nan without such rows). `new_share` is the share of new readings, equal by chance or
+    not: 1 - (repeat_share - chance_share) / (1 - chance_share), at most 1. The longest run of equal rows is `longest`
+    rows long and starts at `longest_row`, counted from 0.
     """
 
     rows: int

@@ -40,7 +40,7 @@ FILTER_TIMES = 5.0
 """Shortest tau of the fit in time constants of the chip's low-pass filter, which affects shorter ones."""
 
 HARMONICS = 8
-"""Highest multiple of a line's frequency that counts as a harmonic."""
+"""Highest multiple of a line's frequency that is reported as a harmonic."""
 
 CHANCE = 0.02
 """Largest distance of a line from a harmonic, as a share of the distance of two harmonics over their order."""
@@ -50,8 +50,8 @@ _ALIASES_TO_HZ = 500.0
 
 
 def timing_of(survey: Survey, rate_hz: float) -> dict[str, Any]:
-    """Intervals, their jitter and gaps; how often a reading repeats the one before, at `rate_hz` rows per second (the
-    intervals do not say the rate of rows that arrive in bursts).
+    """Intervals, their jitter and gaps; and how often a reading repeats the one before, at `rate_hz` rows per second
+    (the rate of rows that arrive in bursts can't be computed from the intervals).
     """
     intervals = asdict(survey.intervals) | {"longest": [gap._asdict() for gap in survey.intervals.longest]}
     repeats = asdict(survey.repeats)
@@ -144,7 +144,9 @@ def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
 
 
 def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
-    """Return the lines, each with the `fundamental_hz` of which it is a multiple, None of one that is of none."""
+    """Return the lines, each with the `fundamental_hz` that it is a multiple of; None for a line that is not a
+    harmonic.
+    """
     for line in lines:
         line["fundamental_hz"] = None
         for other in sorted(lines, key=lambda line: line["frequency_hz"]):

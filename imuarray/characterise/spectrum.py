@@ -2,8 +2,8 @@
 
 Segments of N rows overlap by half, lose their mean and are weighted with a Hann window w; the one-sided density of
 segment j at frequency k / N * rate is |DFT(w x_j)_k|^2 * 2 / (rate * sum w^2) (no factor 2 at 0 and at half the rate),
-and the estimate is the mean over all segments (Welch, IEEE Trans. Audio Electroacoust. 15, 1967). No segment reaches
-over the end of a run, so that a gap doesn't count as an interval like any other.
+and the estimate is the mean over all segments (Welch, IEEE Trans. Audio Electroacoust. 15, 1967). No segment extends
+beyond the end of a run, so that a gap is never used as a normal interval.
 
 The mean is removed after the transform: only the bins 0 and 1 of the periodic Hann window are not zero, N/2 and -N/4.
 That also removes part of the power of bin 1 (a sixth of it, for white noise).
@@ -32,7 +32,7 @@ NOISE_BANDWIDTH = 1.5
 """Equivalent noise bandwidth of the Hann window in bins (Harris, Proc. IEEE 66, 1978, table I)."""
 
 OVERLAP_CORRELATION = 1 / 6
-"""Correlation of the Hann window with itself, half its length on (Harris, table I: 16.7 %)."""
+"""Correlation of the Hann window with itself at a shift of half its length (Harris, table I: 16.7 %)."""
 
 _WEIGHTED = 3 / 8
 """Mean square of the Hann window."""
@@ -47,8 +47,9 @@ class Spectrum:
     """One-sided power spectral density of k columns at m frequencies, 0 to half the rate.
 
     `frequency_hz` (m,), `density` (m, k) in squared units of the series per Hz (nan without a segment) and `freedom`
-    (m,), the equivalent degrees of freedom of each. `segments` averaged, over `runs` runs with at least one;
-    `segment_rows` their length; `rows` seen in all, `left_over` of them in no segment: ends of runs and short runs.
+    (m,), the equivalent degrees of freedom of each. `segments` is the number of averaged segments, `runs` the number of
+    runs with at least one, `segment_rows` the length of a segment, `rows` the number of all rows, and `left_over` the
+    number of rows in no segment: ends of runs and short runs.
     """
 
     frequency_hz: Floats
@@ -82,9 +83,9 @@ class Spectrum:
 class Welch:
     """Adds up periodograms of `columns` series sampled at `rate_hz`; `segment_rows` is even and at least 16.
 
-    In "single" precision the transform rounds: down to 1e-7 of the mean over all bins a density is off by less than
-    1e-4 of itself, which its statistical error, sqrt(2 / freedom) of itself, reaches after 10^8 segments. "double"
-    costs half as much time again. ValueError for another segment length, rate or number of columns.
+    The rounding error of "single" precision is less than 1e-4 of a density, for densities down to 1e-7 of the mean over
+    all bins; the relative statistical error, sqrt(2 / freedom), reaches this after 10^8 segments. "double" takes 1.5
+    times as long. ValueError for another segment length, rate or number of columns.
     """
 
     def __init__(
@@ -197,7 +198,7 @@ than a fifth of the decimated rate are attenuated by 90 dB or more."""
 
 class SlowWelch:
     """`Welch` of series of `columns` columns that are low-pass filtered, and decimated by `factor`; densities are
-    divided by the filter's response. They hold up to a fifth of the decimated rate.
+    divided by the filter's response. They are valid up to a fifth of the decimated rate.
     """
 
     def __init__(self, rate_hz: float, factor: int, segment_rows: int, columns: int = 1) -> None:
@@ -268,16 +269,17 @@ def segment_rows(run_rows: int) -> int:
 
 
 _SLOW_SHARE = 1 / 128
-"""Decimated rows of a segment of the other spectrum are as many: its bins up to the 24th are below a fifth of the
-decimated rate.
+"""Decimation factor, relative to the rows of a segment of the other spectrum. Such a segment is 128 decimated rows
+long, so that its bins up to the 24th are below a fifth of the decimated rate.
 """
 
 _SLOW_SEGMENTS = 5
 
 
 def slow_welch(rate_hz: float, run_rows: int, columns: int) -> SlowWelch | None:
-    """Return the estimator for frequencies with few periods in the segments for runs of `run_rows`: at least five
-    segments, which are at most `SEGMENT` decimated rows. None if the runs are too short for longer segments.
+    """Return the estimator for low frequencies, with few periods in the normal segments for runs of `run_rows`. It uses
+    at least five segments per run, of at most `SEGMENT` decimated rows. None if the runs are too short for longer
+    segments than the normal ones.
     """
     factor = int(segment_rows(run_rows) * _SLOW_SHARE)
     if factor < 2:

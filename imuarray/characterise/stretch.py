@@ -14,13 +14,13 @@ from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT, Phase
 from imuarray.spelling import guess
 
 STILL_NAMES = frozenset({"static", "room"})
-"""Phases at rest by their name; one that says which axis is up is at rest too."""
+"""Names of phases at rest. Phases named by the axis that points up are at rest as well."""
 
 FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
 
 GAP = 1.5
-"""An interval longer than this multiple of the upper quartile of the intervals is a gap; an array that is polled forth
-and back has short and long intervals in turn, and the long ones are no gaps.
+"""An interval longer than this multiple of the upper quartile of the intervals is a gap; an array that is polled in
+alternating order has short and long intervals in turn, and the long ones are not gaps.
 """
 
 
@@ -28,7 +28,7 @@ and back has short and long intervals in turn, and the long ones are no gaps.
 class Stretch:
     """The part of a log that is characterised: a phase, or all of it (`phase` None); `chosen_by` says why this one.
 
-    Rows between the times of `left_out` (ns) are no readings at rest; `remark` says what happened there.
+    Rows between the times of `left_out` (ns) do not count as readings at rest; `remark` states the reason.
     """
 
     start_ns: int
@@ -63,8 +63,8 @@ def flags_of(sensor: SensorLog, part: slice, left_out: Spans = ()) -> npt.NDArra
 @dataclass(frozen=True)
 class Timing:
     """The times of one sensor's rows: median and longest interval (nan with fewer than 2 rows), number of gaps, the
-    longest run of rows without a gap, lost readings, or a chip in doubt, the interval beyond which there is a gap, and
-    all `runs` of at least `LEAST_RUN` rows, in order.
+    longest run of rows without a gap, lost readings or suspect rows, the interval above which a gap is counted, and all
+    `runs` of at least `LEAST_RUN` rows, in order.
     """
 
     interval_s: float
@@ -113,8 +113,8 @@ def find_timing(
 ) -> Timing:
     """Median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
 
-    A run ends at a gap, where readings were lost or the chip was set up again, and at every row in which the chip is in
-    doubt or which is in a span that is left out. With `counted`, rows came in bursts: they were taken steadily, and no
+    A run ends at a gap, where readings were lost or the chip was configured again, and at every row that is suspect or
+    in a span that is left out. With `counted`, rows arrived in bursts: they were measured at a steady rate, and no
     interval between them is a gap. The median of more than `block` rows is the median of the blocks' medians, and so is
     the quartile. LogError if time doesn't increase.
     """

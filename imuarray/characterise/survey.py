@@ -1,17 +1,17 @@
 """A survey of a sensor's rows: all statistics in one pass, block by block, in memory that does not grow with the log.
 
 Rows are cut into runs wherever one doesn't continue the one before: at a gap, where readings were lost, where the chip
-was set up again or is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats never reach across a
-cut.
+was configured again or where its state is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats
+never extend across a cut.
 
 Sampling times (`SamplingIntervals`) are counted in a histogram of fixed size, whose bins of 2^-16 of a typical interval
 (1 ns at least) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile. The upper
-quartile is about the median, but for alternating intervals the longer of the two, however short the other is.
+quartile is usually near the median; for alternating intervals it is the longer of the two, however short the other is.
 
 Sensors that are polled in alternating order have a short and a long interval in turn: mean -+ a. Intervals then
-correlate by a^2 at even lags and -a^2 at odd ones. Neither independent jitter of the intervals nor of the stamps, which
-correlates neighbouring intervals only, reaches beyond lag 1: a^2 is half the difference of the covariances at lags 2
-and 3.
+correlate by a^2 at even lags and -a^2 at odd ones. Independent jitter of the intervals or of the time stamps correlates
+at most neighbouring intervals, and does not contribute beyond lag 1. Therefore a^2 is half the difference of the
+covariances at lags 2 and 3.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _QUARTILE = 0.75
 _FINENESS = 16
 _BINS = 4 << _FINENESS
 _SURE = 4.0
-"""Standard errors that the square of an alternation must have: a chance of 3e-5."""
+"""Least square of an alternation in standard errors that is reported; noise exceeds it with a probability of 3e-5."""
 
 
 class RowGap(NamedTuple):
@@ -65,9 +65,9 @@ class SamplingIntervals:
     """Times of `rows` rows; nan with too few of them.
 
     `median_s`; `mean_s` of the intervals that are no gaps. `alternation_s` is a if intervals are mean - a and mean + a
-    in turn, 0 if they aren't. `jitter_rms_s` is the standard deviation of the intervals without that, and
-    `jitter_robust_s` the same from the median of how they differ from those two before (no outlier, no slow change).
-    `gaps` of `gaps_s` in all, the longest of them `longest`.
+    in turn, 0 if they aren't. `jitter_rms_s` is the standard deviation of the intervals without this alternation, and
+    `jitter_robust_s` the same from the median difference of intervals two rows apart, which outliers and slow changes
+    do not affect. `gaps` is the number of gaps, `gaps_s` their total duration, `longest` the longest ones.
     """
 
     rows: int
@@ -145,7 +145,7 @@ class IntervalTally:
         self._longest = nlargest(PLACES, self._longest)
 
     def _count(self) -> None:
-        """Add the intervals that wait to the histograms and the products."""
+        """Add the buffered intervals to the histograms and the products."""
         intervals = np.concatenate(self._waiting) if self._waiting else np.zeros(0, np.int64)
         self._waiting = []
         if len(intervals) == 0:
@@ -173,7 +173,9 @@ class IntervalTally:
         return np.bincount(np.minimum(whole // self._bin_ns, _BINS), minlength=_BINS + 1)
 
     def _alternation(self, variance: float) -> float:
-        """a^2 in ns^2, 0 if it is not sure; the covariances have a standard error of variance / sqrt(n) each."""
+        """Return a^2 in ns^2; 0 if it is not significant. Each covariance has a standard error of variance /
+        sqrt(n).
+        """
         (pairs, second), (others, third) = self._products.tolist()
         if others == 0:
             return 0.0
@@ -183,12 +185,14 @@ class IntervalTally:
 
 
 def _weighted_sum(counts: Times, values: Floats) -> float:
-    """Return the sum of `values` (b,) that come `counts` (b,) times."""
+    """Return the sum of `values` (b,) that occur `counts` (b,) times each."""
     return float(np.einsum("b,b", counts, values))  # for "@", OpenBLAS would start threads
 
 
 def _quantile(values: Floats, counts: Times, share: float) -> float:
-    """Return the least of `values` (b,), ascending, that come `counts` (b,) times, with `share` of all up to it."""
+    """Return a quantile of `values` (b,), ascending, that occur `counts` (b,) times: the least one with `share` of all
+    values up to it.
+    """
     total = np.cumsum(counts)
     return float(values[np.searchsorted(total, share * total[-1])])
 
@@ -208,7 +212,8 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class Survey:
-    """Statistics of one sensor's stretch; `curve` is of `runs_of_curve` (None if too short), the rest of all.
+    """Statistics of one sensor's stretch; `curve` is that of `runs_of_curve` (None if too short); the others include
+    all rows.
 
     `slow_spectrum` is that of low frequencies, with longer segments (None if the runs are too short); `histograms` one
     per column; `estimator` of the Allan deviation.
@@ -232,8 +237,8 @@ def survey(
     estimator: Estimator | None = None,
     left_out: Spans = (),
 ) -> Survey | None:
-    """Return everything about the `rows` of a sensor, whose runs `timing` found; `interval_s` is the longest run's
-    mean. Rows in the spans `left_out` do not count.
+    """Return all statistics of the `rows` of a sensor, for the runs in `timing`; `interval_s` is the mean interval of
+    the longest run. Rows in the spans `left_out` do not count.
 
     `estimator` None: overlapping for a run of at most `EXACT_ROWS`, else decimated. None without two rows.
     """
@@ -273,8 +278,8 @@ def survey(
 
 
 def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
-    """Return the runs of rows that the Allan deviation is taken of: the longest ones, of `EXACT_ROWS` together at most;
-    with the decimated estimator the longest one alone.
+    """Return the runs of rows for the Allan deviation: the longest ones with at most `EXACT_ROWS` rows together; for
+    the decimated estimator only the longest one.
     """
     if estimator == "decimated" or not timing.runs:
         return (timing.run,)
@@ -289,7 +294,7 @@ def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
 
 
 def _exact(sensor: SensorLog, runs: Sequence[slice], interval_s: float) -> AllanCurve | None:
-    """Return the overlapping Allan deviation of runs that are short enough for their running sum to be held."""
+    """Return the overlapping Allan deviation of runs with a running sum that fits into memory."""
     lengths = [run.stop - run.start for run in runs]
     if max(lengths) < MIN_ROWS:
         return None
@@ -299,7 +304,7 @@ def _exact(sensor: SensorLog, runs: Sequence[slice], interval_s: float) -> Allan
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of the counts of runs, one after the other, read where it is asked for."""
+    """One column of the counts of consecutive runs, read on demand."""
 
     sensor: SensorLog
     runs: tuple[slice, ...]

@@ -35,9 +35,9 @@ MOST_BARS = 120
 """Wider histograms have bars of several codes."""
 
 _TESTS = 3
-"""Share of even codes and an outlier at either end: each comes by chance as often as allowed, the other marks hardly.
-
-Of white noise with 0.2 to 50 counts rms, 10 to 30 000 readings, `marks` says something at up to 3 times its level.
+"""Number of tests that share the significance level: the share of even codes and an outlier at either end. The other
+marks hardly occur by chance. For white noise of 0.2 to 50 counts rms and 10 to 30 000 readings, `marks` reports a fault
+with up to 3 times the probability of its level.
 """
 
 _READING = (
@@ -89,7 +89,7 @@ def choose_sensors(sensors: list[Table], level: float) -> list[Table]:
 
 
 def marks(axis: Table, level: float) -> list[str]:
-    """Describe the faults of a converter that a histogram shows; `level` is the chance up to which noise is not one."""
+    """Describe the faults of a converter that a histogram shows; `level` is the significance level."""
     codes = axis.get("codes")
     if not codes or not codes["std"]:
         return ["one code only"] if codes and codes["readings"] > 1 else []
@@ -108,7 +108,9 @@ def marks(axis: Table, level: float) -> list[str]:
 
 
 def step_of(axis: Table, level: float) -> int:
-    """Return the usual step of the codes, 1 if it may be chance: n different codes have it with step^(1 - n)."""
+    """Return the usual step of the codes; 1 if it may be due to chance: the probability for n different codes is
+    step^(1 - n).
+    """
     step: int = axis["codes"]["usual_step"]
     different = len(axis["histogram"]["codes"]) if axis["histogram"] else np.inf
     return step if step > 1 and float(step) ** (1 - different) <= level else 1
@@ -122,7 +124,7 @@ def _steps(codes: Table, step: int) -> list[str]:
 
 
 def _missing(codes: Table, level: float) -> list[Table]:
-    """Return the gaps that chance wouldn't leave."""
+    """Return the gaps that are significant."""
     return [gap for gap in codes["missing"] if gap["p_value"] <= level]
 
 
@@ -131,8 +133,8 @@ def _is_piled(end: Table, level: float) -> bool:
 
 
 def _is_far(end: Table, codes: Table, level: float) -> bool:
-    """Return whether Gaussian readings hardly reach an end: a step nearer, as the spread of noise below a step says
-    little.
+    """Return whether Gaussian readings are unlikely to reach an end. The distance is reduced by a step, because the
+    measured spread of noise below a step is unreliable.
     """
     distance = float(abs(end["code"] - codes["mean"]) - codes["step"]) / codes["std"]
     return bool(codes["readings"] * erfc(distance / sqrt(2)) / 2 <= level)

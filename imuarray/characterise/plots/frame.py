@@ -202,7 +202,7 @@ def how_to_read(figure: Figure, reading: str) -> None:
 
 
 def plain(text: str) -> str:
-    """Return text in which matplotlib sees no mathematics, and nothing that it cannot draw."""
+    """Return text that matplotlib does not interpret as mathematics, without characters that it cannot draw."""
     return encodable(text).replace("$", r"\$")
 
 

@@ -176,7 +176,9 @@ def _label_lines(panel: Axes, curves: list[AxisCurve]) -> None:
 
 
 def line_label(line: Table) -> str:
-    """Return a line's frequency, and the mains frequency that would come out there if it isn't that itself."""
+    """Return a line's frequency, and the mains frequency that it is an alias of, unless it is a mains frequency
+    itself.
+    """
     for mains_hz in MAINS_HZ:
         if any(abs(alias_hz - mains_hz) <= _MAINS_WITHIN_HZ for alias_hz in line["aliases_hz"]):
             really = "" if abs(line["frequency_hz"] - mains_hz) <= _MAINS_WITHIN_HZ else f"{mains_hz:g} Hz "
