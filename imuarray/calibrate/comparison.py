@@ -33,9 +33,9 @@ _OPPOSITE = -0.9
 class Change:
     """One figure of one axis in the n calibrations that contain it.
 
-    `values` and `sems` (standard errors) are in `unit`. `p_value` is the probability of such values if nothing changed,
-    corrected for the number of figures. `first` and `last` are the two calibrations that differ most, `difference` and
-    `sigmas` (standard errors) by how much.
+    `values` and `sems` (standard errors) are in `unit`. `p_value` is the probability of differences at least as large
+    without a change, corrected for the number of figures. `first` and `last` are the two calibrations that differ most,
+    `difference` and `sigmas` (standard errors) by how much.
     """
 
     sensor: str
@@ -60,8 +60,8 @@ class Change:
 @dataclass(frozen=True)
 class CommonChange:
     """Change of the biases of a design along one of its own axes: the standard deviation over calibrations of the part
-    that all `units` share (`common`) and of the part of each unit (`own`), in `unit`; `p_value` is the probability of
-    so large a common part if there is none.
+    that all `units` share (`common`) and of the part of each unit (`own`), in `unit`; `p_value` is the probability of a
+    common part at least as large by chance.
     """
 
     chip: str
@@ -77,7 +77,8 @@ class CommonChange:
 class OpposedChange:
     """Change of the biases of two axes of one design that oppose each other along a box axis: the rms over calibrations
     of a single axis (`alone`) and of the mean of both in the box frame (`together`), in `unit`; the `correlation` of
-    their changes along their own axes, and the probability of so large a one by chance (nan for two calibrations).
+    their changes along their own axes, and the probability of a correlation at least as large by chance (nan for two
+    calibrations).
     """
 
     chip: str
@@ -288,8 +289,8 @@ def _opposed(
 
 
 def _chance_of_correlation(correlation: float, freedom: int) -> float:
-    """Return the probability of so large a correlation by chance, by Student's t with one degree of freedom less than
-    the changes have; nan for two calibrations, whose changes always correlate fully.
+    """Return the probability of a correlation at least as large by chance, by Student's t with one degree of freedom
+    less than the changes have; nan for two calibrations, because their changes always correlate fully.
     """
     if freedom < 2 or not np.isfinite(correlation):
         return float("nan")

@@ -5,9 +5,10 @@ modelled as::
 
     C[i, j] = (1 - white) exp(-|t_i - t_j| / correlation time) + white (i = j),     times an unknown variance
 
-Correlation time and white share are unknown beforehand, and a single well-fitting pair of them makes uncertainties too
-small. A grid of pairs is therefore kept, refined around the likely ones, each weighted by its restricted likelihood
-(Harville, J. Am. Stat. Assoc. 72, 1977, p. 320); the disagreement between pairs is part of the variance.
+Correlation time and white share are unknown, and uncertainties from the best-fitting pair alone are too small.
+Therefore a grid of pairs is used, which is refined around the likely ones. Each pair is weighted by its restricted
+likelihood (Harville, J. Am. Stat. Assoc. 72, 1977, p. 320), and the differences between the pairs are part of the
+variance.
 
 The differences of neighbours z_i = y_i - r_i y_(i-1), r_i = exp(-dt_i / correlation time), have a tridiagonal
 covariance, so every pair costs one pass over the data.

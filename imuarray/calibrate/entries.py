@@ -28,11 +28,11 @@ class EntryPlace:
     words: str
 
     def key(self, name: str) -> EntryPlace:
-        """Return the place of a key in the table that is here."""
+        """Return the place of a key in the table at this place."""
         return replace(self, place=(*self.place, name), words=f"{self.words}: {name}")
 
     def entry(self, number: int) -> EntryPlace:
-        """Return the place of an entry, counted from 1, of the list that is here."""
+        """Return the place of an entry, counted from 1, of the list at this place."""
         return replace(self, place=(*self.place, number - 1), words=f"{self.words} {number}")
 
     def __str__(self) -> str:
@@ -90,7 +90,7 @@ def read_table(entry: object, where: EntryPlace, kind: type[T]) -> T:
 
 
 def _readers(kind: type) -> Mapping[str, Reader]:
-    """Return the reader of each field of a dataclass, with which its type, or a part of it, is annotated."""
+    """Return the reader of each field of a dataclass, from the annotation of the field's type or of a part of it."""
     readers: dict[str, Reader] = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         readers[name] = next(part.__metadata__[0] for part in (hint, *get_args(hint)) if hasattr(part, "__metadata__"))
@@ -166,7 +166,7 @@ def covariance(size: int) -> Reader:
 
 
 def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
-    """A reader of one number from `lowest` to `highest`, as it stands."""
+    """A reader of one number from `lowest` to `highest`, which is not converted."""
 
     def read(value: object, where: EntryPlace) -> object:
         if not (_is_number(value) and lowest <= value <= highest):  # type: ignore[operator]

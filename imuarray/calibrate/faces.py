@@ -5,14 +5,14 @@ reading of each of the six faces the least-squares solution is the appendix's: h
 repeated face measures the drift and is not part of the fit, except in a gyroscope's bias, which the paper takes over
 all readings (Table 4).
 
-Readings may deviate by more than noise, because a table leans or a bias wanders. Six faces leave two degrees of freedom
-per axis, in which that shows; where it is significant it is part of the standard errors, equally in every reading of a
-sensor. A leaning table affects all sensors, so their errors are then correlated.
+Readings may deviate by more than noise, because a table leans or a bias wanders. Six faces have two degrees of freedom
+per axis from which this is estimated; if it is significant, it is included in the standard errors, equally for every
+reading of a sensor. A leaning table affects all sensors, so that their errors are correlated.
 
-Face labels are verified: the box axis that pointed up according to the accelerometers against the one that the phase
-states. If most accelerometers contradict a face, its label is wrong; if a single sensor does, its axes differ from
-those in the log. Where a single rotation or reflection of the box explains all faces, either may be the cause, and the
-error states both.
+Face labels are verified: the box axis that pointed up according to the accelerometers is compared with the one that the
+phase states. If most accelerometers contradict a face, its label is wrong; if a single sensor does, its axes differ
+from those in the log. Where a single rotation or reflection of the box explains all faces, either may be the cause, and
+the error states both.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def axes_text(rows: Floats) -> str:
 
 def _common_rotation(labels: Indices, measured: Indices) -> Floats | None:
     """Return the signed permutation (3, 3) that maps the labelled direction of every face to the measured one; None if
-    there is none, or if fewer than six faces leave it open.
+    no such permutation exists, or if fewer than six faces do not determine it.
     """
     if len(np.unique(labels)) < len(UP_AXES):
         return None
@@ -119,7 +119,9 @@ def _exchanged_labels(readings: PoseReadings, wrong: Sequence[int] | Indices, tu
 _ALL_FACES = "z_up, x_up, y_up, x_down, y_down, z_down are required"
 
 LEANS_G = 0.01
-"""A face whose mean force is this far from the straight line through the other faces leaned: 0.6 degrees."""
+"""Least distance, in g, of a face's mean force from the straight line through the other faces at which the box leaned:
+0.6 degrees.
+"""
 
 _HALFWAY = 0.8
 """Cosine of 37 degrees: largest angle between a measured axis and the configured one."""

@@ -18,8 +18,9 @@ from imuarray.log import SensorLog
 from imuarray.units import READABLE
 
 MORE_THAN_NOISE = 0.01
-"""Significance level: residuals whose probability under noise alone is lower have another cause, such as a wandering
-bias or a box that leaned."""
+"""Significance level: residuals that are less probable than this under noise alone have another cause, for example a
+wandering bias or a box that leaned.
+"""
 
 DRIFTS = 1e-3
 """Significance level of a drift term."""
@@ -123,9 +124,10 @@ def refuse_imprecise(sensor: SensorLog, sem_lsb: Floats, most: Mapping[str, floa
 
 
 MOVED_G = 0.005
-"""If gravity changes by more between the halves of a pose, the box moved (0.3 degrees). Warm-up changes biases by less
-than a fifth of it during a pose (1 mg in 90 minutes in the paper's Table 3, 0.3 mg in 20 s in a recording of
-MPU-9150)."""
+"""Change of gravity between the halves of a pose, in g, above which the box moved (0.3 degrees). Warm-up changes biases
+by less than a fifth of it during a pose (1 mg in 90 minutes in the paper's Table 3, 0.3 mg in 20 s in a recording of
+MPU-9150).
+"""
 
 BREAK_S = 30.0
 _BREAKS = 10.0
@@ -193,7 +195,8 @@ def moving_poses(readings: PoseReadings) -> dict[int, str]:
 
 
 def misfit_probability(with_it: float, without: float, number: int, freedom: float) -> float:
-    """Return the probability that `number` readings fit so badly by chance: the F test of a mean shift.
+    """Return the probability that `number` readings have a misfit at least as large by chance: the F test of a mean
+    shift.
 
     `with_it` and `without` are the weighted sums of squares of a fit with these readings and of a fit without them,
     which has `freedom` degrees of freedom; 1.0 if it has none.

@@ -1,12 +1,12 @@
 """Joint calibration of accelerometers and directions of gravity from static poses, by the known length of gravity.
 
-Any static poses will do, without a levelled table and without labels: in each of them the specific force is one g long,
-and all accelerometers sense the same vector.
+Any static poses are suitable, without a levelled table and without labels: in each of them the specific force is one g
+long, and all accelerometers measure the same vector.
 
 The fit starts with each accelerometer alone. ``|shape @ (mean - bias)| = 1 g`` over all poses gives its bias (3) and a
-triangular shape matrix (6), an ellipsoid (Skog & Handel, Proc. XVII IMEKO World Congress, 2006). The rotation of each
-sensor, which the length leaves open, follows from the others: all sensed the same, so their directions are turned onto
-each other.
+triangular shape matrix (6), an ellipsoid (Skog & Handel, Proc. XVII IMEKO World Congress, 2006). The length does not
+determine the rotation of each sensor. It follows from the other sensors: all measured the same vector, so their
+directions are aligned with each other.
 
 From this start all sensors and all directions are fitted together by maximum likelihood (`solve`), including the drift
 of biases while the box is tumbled. Every axis of every sensor is a linear function of the direction of gravity, which
@@ -14,13 +14,13 @@ all sensors share and which is unknown::
 
     reading = row @ up + bias (+ drift terms) + noise,      |up| = 1
 
-This is a bundle adjustment, as photogrammetry has it with cameras and points (Triggs et al., Vision Algorithms, LNCS
-1883, 2000): Gauss-Newton on the directions, the axes eliminated by their Schur complement. A common rotation of all
-directions and all rows changes nothing; the box frame is defined as the one in which the mean response of all sensors,
-each turned by its configured axes, is symmetric: on average they point where the configuration says.
+This is a bundle adjustment, as used in photogrammetry for cameras and points (Triggs et al., Vision Algorithms, LNCS
+1883, 2000): Gauss-Newton iterations on the directions, with the axes eliminated by their Schur complement. A common
+rotation of all directions and all rows changes nothing; the box frame is defined as the one in which the mean response
+of all sensors, each turned by its configured axes, is symmetric: on average they point where the configuration says.
 
-Poses that no calibration explains are left out. Weights are those of the noise within poses; an axis whose readings
-scatter more from pose to pose gets a variance of its own, as large as its residuals require.
+Poses that no calibration explains are excluded. Readings are weighted by the noise within poses. If the readings of an
+axis scatter more from pose to pose, a variance estimated from its residuals is added.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _FREE = 3
 
 @dataclass(frozen=True)
 class Bundle:
-    """The fit of a axes in k poses with q terms beside the response (the first is the bias).
+    """The fit of a axes in k poses with q terms in addition to the response (the first is the bias).
 
     `coefficients` (a, 3 + q), `up_box` (k, 3), `residual` and `weight` (a, k), `design` (k, 3 + q). Of the normal
     equations: the inverse blocks `own` (a, p, p) of the axes, `shared` (a, p, 2k), the change of the axes with the
@@ -261,7 +261,7 @@ FACE_COSINE = 0.97
 
 
 def insufficient_poses(sensor: SensorLog, means: Floats | None = None) -> str:
-    """Describe which parameters the poses leave open; `means` (k, 3) are their readings in g."""
+    """Describe the parameters that the poses do not determine; `means` (k, 3) are their readings in g."""
     if means is not None:
         directions = means / np.linalg.norm(means, axis=1, keepdims=True)
         face = np.argmax(np.abs(directions), axis=1)
@@ -411,7 +411,7 @@ class _JointFit:
 
 
 def _fit_jointly(readings: PoseReadings) -> _JointFit:
-    """Fit all sensors and directions, with the drift and scatter that the readings show."""
+    """Fit all sensors and directions, including the drift and the scatter estimated from the readings."""
     scale = readings.sensitivity[:, None, None]
     values = _by_axis(readings.mean_lsb / scale)
     noise = _by_axis(readings.variance_lsb2 / scale**2)
@@ -464,7 +464,8 @@ def _fit_drift(readings: PoseReadings, values: Floats, noise: Floats, up_box: Fl
 
 def _leave_one_out(joint: _JointFit, progress: Callable[[int], None]) -> tuple[Floats, list[float]]:
     """Return for each pose the length (s, k) of the specific force by a calibration from all other poses, and the
-    probability that it fits so badly by chance: the larger of those by the scatter of the others and by the weights.
+    probability of a misfit at least as large by chance: the larger of the probabilities by the scatter of the other
+    poses and by the weights.
     """
     sensors, poses = len(joint.readings.sensors), len(joint.readings.poses)
     lengths, chances = np.full((sensors, poses), np.nan), [1.0] * poses

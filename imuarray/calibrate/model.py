@@ -126,9 +126,9 @@ class SensorCalibration:
     noise_lsb: Sizes | None = None
     temperature_degc: Number | None = None
     range: Number | None = None
-    """The measuring range, in `unit`, at which this holds."""
+    """The measuring range, in `unit`, for which this calibration is valid."""
     chip: Text | None = None
-    """The chip that this holds for, as its log has it."""
+    """The chip of the sensor, as stated in its log."""
     bias_covariance_lsb2: Annotated[Floats | None, covariance(3)] = None
     response_covariance_lsb2_per_unit2: Annotated[Floats | None, covariance(9)] = None
     g_sensitivity_sem_lsb_per_g: Annotated[Floats | None, numbers(3, 3, lowest=0.0)] = None
@@ -150,9 +150,9 @@ class SensorCalibration:
     def bias_at(self, temperature_degc: npt.ArrayLike) -> Floats:
         """Return the bias (3,), or (n, 3) for temperatures (n,), in counts at a (lagged) temperature in degC.
 
-        The bias holds at the temperature at which it was measured, or at the slopes' reference if that temperature is
-        not known or the thermometer of the slopes has no zero. Without slopes, and on an axis whose slope may be one of
-        scale, it does not change.
+        The bias applies to the temperature at which it was measured, or to the slopes' reference if that temperature is
+        not known or the thermometer of the slopes has no zero. It does not change without slopes, or on an axis whose
+        slope may be one of scale.
         """
         degc = np.asarray(temperature_degc, float)
         if self.thermal is None:
@@ -216,7 +216,7 @@ class SensorCalibration:
 
 
 def _quotient(values: Floats | None, scale: Floats) -> Floats:
-    """Return values (3,) in counts over the scale factors (3,); nan where there are none."""
+    """Return values (3,) in counts divided by the scale factors (3,); nan without values."""
     return np.full(3, np.nan) if values is None else values / scale
 
 

@@ -5,7 +5,7 @@ of the sensor.
 
 A knock is a short disturbance of a box at rest, detected in windows of half a second: it lies between two rests and
 lasts at most `BRIDGED_S`. If the attitude is the same before and after it, the two rests are joined; if the box was
-pushed a little, the knock states by how much.
+moved a little, the knock states the change.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ _SURE = 5.0
 """Least change of the attitude by a knock, in standard errors."""
 
 _LEAST_SHARE = 0.05
-"""Least change of the attitude by a knock, as a share of `SAME_POSE`: noise wanders, and small noise is rounded away.
+"""Least change of the attitude by a knock, as a share of `SAME_POSE`: the noise may wander, and noise of less than a
+count is lost by rounding.
 """
 
 LISTED = 5
@@ -127,7 +128,7 @@ _CHOSEN = "the longest rest that the sensors show; no phase is marked as one"
 
 
 def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
-    """Return the longest rest that the sensors show, without the knocks in it; None if there is none, if a `phase` is
+    """Return the longest rest detected by the sensors, without the knocks in it; None if there is none, if a `phase` is
     given, or if the log marks a phase as a rest.
     """
     if phase is not None or choose_stretch(log, None).phase is not None:
@@ -168,8 +169,8 @@ second before. The noise of a sensor is smaller, and a bias drifts by less in a 
 """
 
 TILTED_G = 0.3
-"""A mean specific force that differs more from the median belongs to another pose, even if the box was tilted slowly:
-heating by 40 degC changes a bias by a third of it (ADX-62, BMA-115).
+"""Difference, in g, of a mean specific force from the median above which it belongs to another pose, even if the box
+was tilted slowly. Heating by 40 degC changes a bias by a third of it (ADX-62, BMA-115).
 """
 
 MOVING_SHARE = 0.1

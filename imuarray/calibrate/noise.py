@@ -7,9 +7,9 @@ The drift of the bias is the maximum likelihood of a first-order Gauss-Markov pr
 segments of T seconds of a process with variance v and time constant tau have the variance ``v 2 (tau/T)^2 (T/tau - 1 +
 exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``: those of a sampled process in
 white noise, so a Kalman filter gives their exact likelihood. The level of each stretch is unknown and is integrated
-out, which also corrects for the degree of freedom that it takes (restricted maximum likelihood: Patterson and Thompson,
-Biometrika 58, 1971). Several averaging times enter together: a process shows in means over long times, white noise in
-those over short ones.
+out, which also corrects for its degree of freedom (restricted maximum likelihood: Patterson and Thompson, Biometrika
+58, 1971). Several averaging times are used together: means over long times contain mostly the process, and those over
+short times mostly white noise.
 
 The filter runs for a grid of time constants and of ratios of drift to noise, first a coarse one, then a fine one about
 the maximum. Standard errors and bounds weigh the grid by the likelihood, with a prior that is flat in the rms and in
@@ -359,9 +359,9 @@ def with_noise_of(
     names: Sequence[str] = (),
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
-    """Return the calibration with the noise that the log shows at rest, for the sensors (only `names`, unless that is
-    empty) whose noise it lacks; without spectral lines, which fusion does not use. CalibrationError if the log shows
-    none. `progress` is called as by `calibrate_noise`.
+    """Return the calibration with the noise measured in the log at rest, for the sensors (only `names`, unless that is
+    empty) that it has no noise of; without spectral lines, which fusion does not use. CalibrationError if the log
+    determines no noise. `progress` is called as by `calibrate_noise`.
     """
     calibrated = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
@@ -402,7 +402,7 @@ def _noise(
 
 
 def _drift(stretches: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal | None) -> Drift | None:
-    """Estimate the drift over the stretches; None if they are too short, or too many, to show any."""
+    """Estimate the drift over the stretches; None if they are too short, or too many, to determine it."""
     rows = sum(part.stop - part.start for _, _, part in stretches)
     segment = max(SEGMENT_ROWS // 2, -(-rows // MOST_SEGMENTS))  # the shortest time constant is two segments
     long = [

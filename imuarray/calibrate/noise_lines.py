@@ -1,8 +1,8 @@
 """Spectral lines of the noise of a sensor at rest.
 
-A steady line is detected in the mean spectrum of all stretches, where it stands out most. A line whose frequency
-wanders (an interference between two clocks that warm up independently, for example) is smeared there. It is detected
-window by window, and a line in one window continues the line at a nearby frequency in the window before.
+A steady line is detected in the mean spectrum of all stretches, where it is most significant. A line with a wandering
+frequency (for example an interference between two clocks that warm up independently) is smeared there. It is therefore
+detected in windows, and a line in one window continues the line at a nearby frequency in the window before.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _WINDOW_SEGMENTS = 4
 
 _FEWEST_WINDOWS = 4
 _LEAST_SHARE = 0.25
-"""A wandering line must be present in at least this number of windows and in this share of all rows."""
+"""Least share of all rows in which a wandering line is present, in addition to the least number of windows."""
 
 _NEAR = 3.0
 """Largest change of a line's frequency from one window to the next, in bins."""

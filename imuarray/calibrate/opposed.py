@@ -6,8 +6,8 @@ in the calibrated biases, turned into the box frame (`cancellation`), and in the
 
 In the box frame the axes of a pair have opposite signs, so the mean of the pair drifts with half the difference of the
 two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; with parallel axes it would be 0.263. Opposed
-axes drift less than parallel ones exactly if the two slopes have the same sign. The test that they have uses the larger
-of two one-sided p-values (Berger, Technometrics 24, 1982, p. 295).
+axes drift less than parallel ones exactly if the two slopes have the same sign. The test for equal signs uses the
+larger of two one-sided p-values (Berger, Technometrics 24, 1982, p. 295).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from imuarray.log import SensorLog
 @dataclass(frozen=True)
 class Cancellation:
     """One design along one box axis: the mean bias in the box frame, in the sensor's unit, of the axes `along` the box
-    axis, of those `against` it, and of both halves averaged (`opposed`); None if no axis points that way.
+    axis, of those `against` it, and of both halves averaged (`opposed`); None if no axis points in that direction.
     """
 
     chip: str
@@ -77,9 +77,9 @@ class OpposedSlopes:
     in counts/degC along their own axes.
 
     `half_difference` is the slope of their mean in the box frame and `sem` its standard error; `reduction` is the mean
-    magnitude of the single slopes over it. `p_cancels` is the probability of such slopes if opposition gained nothing,
-    `p_nothing_left` the probability of such a half difference if they cancelled completely. `is_bias` is False if a
-    slope may be one of scale.
+    magnitude of the single slopes over it. `p_cancels` is the p-value of these slopes under the hypothesis that they do
+    not have the same sign, `p_nothing_left` that of the half difference under the hypothesis that they cancel
+    completely. `is_bias` is False if a slope may be one of scale.
     """
 
     first: str

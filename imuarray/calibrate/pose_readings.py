@@ -40,8 +40,8 @@ TURNING_DPS = 0.5
 turn, nor turns about the vertical."""
 
 BRIDGED_S = 5.0
-"""Longest time without readings within a pose, if the attitude is the same after it: a recorder may stall, and nobody
-turns the box by hand and returns it to within hundredths of a g in that time.
+"""Longest time without readings within a pose, if the attitude is the same after it: a recorder may stall, and a box
+turned by hand does not return to the same attitude, to hundredths of a g, within that time.
 """
 
 _LEAST_ROWS = 4
@@ -253,7 +253,7 @@ def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> R
 
 
 def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
-    """Return the static stretches that these windows of the log show."""
+    """Return the static stretches in these windows of the log."""
     read, still, width_ns = windows.read, windows.still, windows.width_ns
     starts_ns = windows.begin_ns + width_ns * np.arange(len(still))
     jump = np.abs(np.diff(windows.mean[read], axis=0)).max(axis=1) > SAME_POSE[windows.quantity]
@@ -272,9 +272,9 @@ def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
 
 def _slow_ends(mean: Floats) -> tuple[int, int]:
     """Return how many windows at the beginning and at the end of a stretch at rest, with these means (w, k), may belong
-    to the motion beside it: one, and in a long stretch as many again as those that differ from the next ones beyond
-    chance. A motion that begins slowly, say with a rate that grows with the square of the time, is a quarter as large
-    in half the time.
+    to the adjacent motion: one, or in a long stretch twice the number of windows that differ significantly from the
+    next ones, but at least one. A motion may begin slowly: if its rate grows with the square of the time, it is a
+    quarter as large at half the time.
     """
     if len(mean) < _LEAST_MARGINED:
         return 0, 0
@@ -295,7 +295,7 @@ def _slow_ends(mean: Floats) -> tuple[int, int]:
 _LEAST_MARGINED = 5
 _MOST_SLOW = 6
 _NEXT_WINDOWS = 6
-"""Fewest windows of a stretch without its ends; windows at an end that are compared with so many next ones."""
+"""Fewest windows of a stretch without its ends, and number of next windows that a window at an end is compared with."""
 
 SLOW_MOTION = 5.0
 """Difference of a window's mean from the next ones in standard errors, beyond which the box moved in it."""
@@ -310,8 +310,8 @@ def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
 
 
 def _turning(rate_dps: Floats, std_dps: Floats, still: npt.NDArray[np.bool_], rows: float) -> npt.NDArray[np.bool_]:
-    """Return (w,) whether the box turns in a window of so many rows: the gyroscopes' mean differs from the median of
-    the `still` ones. A window without readings of a gyroscope counts as still.
+    """Return (w,) whether the box turns in a window of `rows` rows: the gyroscopes' mean differs from the median of the
+    `still` ones. A window without readings of a gyroscope counts as still.
     """
     usual = np.median(rate_dps[still], axis=0)
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
@@ -474,7 +474,7 @@ class ReadingInterval(NamedTuple):
 
 
 _NO_GAP_NS = 1e18
-"""Limit of intervals that none exceeds."""
+"""Limit of the interval between readings, in ns, that no interval exceeds: there are no gaps."""
 
 
 def clock_of(stretches: Stretches) -> ReadingInterval:

@@ -112,7 +112,7 @@ def isolated_runs(means: Floats, floor: Floats) -> Booleans:
 
 def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[Booleans, float]:
     """Return the most likely split of runs (r, 3), True for runs that are not in the first run's group, and the
-    probability of so good a split by chance.
+    probability of a split at least as good by chance.
 
     The linear effect of `temperatures` (r,) is removed first, also from the simulated draws. No split and 1.0 for fewer
     than 6 runs.

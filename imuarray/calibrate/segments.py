@@ -25,7 +25,7 @@ _FULL = 0.5
 """Least share of the usual number of rows in a segment."""
 
 FEWEST_ALIKE = 3
-"""Chips of one kind from which the median of their thermometers is taken: of two it would be their mean."""
+"""Fewest chips of one kind for the median of their thermometers: the median of two is only their mean."""
 
 WITHOUT_ZERO = ("l3g4200d",)
 """Chips whose thermometer measures changes only (L3G-60)."""
@@ -165,7 +165,7 @@ def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
     """Return the thermometer of a log, averaged over `width_s`: one whose zero is known (a separate thermometer before
     those of the chips), or else one that measures changes only ("relative"); None without any.
 
-    Of three or more chips of one kind it is the median: a thermometer that is late or fails does not count.
+    For three or more chips of one kind it is the median, which a single late or failed thermometer does not affect.
     """
     sensors = [*log.of("temperature"), *(sensor for sensor in log.sensors.values() if sensor.is_triad)]
     thermometers = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]

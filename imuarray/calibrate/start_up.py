@@ -1,5 +1,5 @@
-"""Start-up state of a sensor: which of its calibrated turn-on states it started in, or a fault, so that it should be
-restarted; determined from a whole log, or from the first readings of a recording.
+"""Start-up state of a sensor: which of its calibrated turn-on states it started in, or a fault, which requires a
+restart. It is determined from a whole log, or from the first readings of a recording.
 """
 
 from __future__ import annotations
@@ -164,7 +164,9 @@ def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> 
 
 PARTS = 10
 _RESTLESS = 25.0
-"""Largest variance of the means of parts at rest, relative to that by white noise; a wandering bias reaches five."""
+"""Largest variance of the means of parts at rest, relative to that by white noise; a wandering bias has a ratio of up
+to five.
+"""
 
 
 class StartUpVerdict(NamedTuple):

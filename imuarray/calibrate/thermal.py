@@ -25,7 +25,8 @@ Slopes depend on the few slowest cosines. The restricted likelihood of a whole l
 these, so it only determines their weights. The uncertainty of an estimate is scaled by the residuals of the slow
 cosines themselves, with their few degrees of freedom (as in Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36,
 2018). Intervals of 95 % then contained the truth in 97 to 98 % of logs with white noise, and in 90 to 99 % of those
-with wander, random walks and flicker noise of any size; with the likelihood alone, in 76 to 93 % of the latter two.
+with wander, random walks and flicker noise of any size; with the likelihood alone, they did so in only 76 to 93 % of
+logs with random walks or flicker noise.
 
 A gap between rows counts as one step.
 """
@@ -63,7 +64,7 @@ _FAINTEST = 0.1
 row."""
 
 _FULL = 20.0
-"""Largest amplitude, as a multiple of the square root of the number of rows: it hides all white noise."""
+"""Largest amplitude, as a multiple of the square root of the number of rows: white noise is then negligible."""
 
 _CORRELATION_TIMES = (0.5, 0.15, 0.05, 0.015)
 """Correlation times as shares of the log's length; together they have the prior probability of a random walk."""
@@ -141,7 +142,7 @@ class SlowRegression:
 
     def straight_line(self, share: Floats, column: Floats) -> SlowFit:
         """Return the ordinary least-squares fit to one `column` (n - 1,) of cosines, with its uncertainty by the noise
-        around the likeliest design: what that design fits is not noise.
+        around the likeliest design, because the part that this design fits is not noise.
         """
         probable = weights(self._restricted + np.log(self._prior), axis=1)
         spectrum = share @ probable @ self._spectra
@@ -205,7 +206,8 @@ class AxesFit:
     """Fit of the three axes of one sensor, arrays (3,) in counts, degC and s. The slope is the one at the reference,
     fitted together with a curvature; `quadratic_lsb_per_degc2` is 0 if not significant, its standard error nan if not
     fitted; `lag_interval_s` (2,) is the 95 % likelihood interval of the lag. `line_lsb_per_degc` is the slope of a
-    straight line through the means, over the temperature without lag: in a curve, the slope where it was longest.
+    straight line through the means, over the temperature without lag: for a curve, this is about the slope at the
+    temperature where the log spent most of its time.
     """
 
     reference_degc: float

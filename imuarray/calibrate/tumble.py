@@ -16,10 +16,9 @@ the acceleration of a turn about a wrist, ``r w^2``. The error of the length of 
 a is estimated from the lengths themselves. All sensors have the same error, so more sensors do not reduce it.
 
 Six faces (`fit_six_faces`) give bias and scale factor of accelerometers without knowing which pose is which. Gravity is
-one g long in every pose. Of the nine parameters of ``|shape @ (mean - bias)| = 1 g``, poses on the six faces
-determine the bias and the scale of each axis, but not the angles between the axes. Those have the data sheet's value
-here, zero within `ANGLES_RAD`, as a prior. That a face leans by a few degrees changes bias and scale only in the second
-order.
+one g long in every pose. Of the nine parameters of ``|shape @ (mean - bias)| = 1 g``, poses on the six faces determine
+the bias and the scale of each axis, but not the angles between the axes. Those have the data sheet's value here, zero
+within `ANGLES_RAD`, as a prior. A face that leans by a few degrees changes bias and scale only in second order.
 """
 
 from __future__ import annotations
@@ -74,8 +73,8 @@ _STEP = 1e-6
 
 
 def faces_of(means_g: Floats) -> list[tuple[int, bool]]:
-    """Return the axis (0, 1, 2) that gravity is along in each pose (k, 3), and whether it is positive; [] if a pose is
-    on no face.
+    """Return for each pose (k, 3) the axis (0, 1, 2) along which gravity points, and whether it is positive; [] if a
+    pose is not on a face.
     """
     directions = means_g / np.linalg.norm(means_g, axis=1, keepdims=True)
     axis = np.argmax(np.abs(directions), axis=1)
@@ -123,7 +122,7 @@ def fit_six_faces(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> Gravit
 
 
 def missing_faces(readings: PoseReadings) -> list[str] | None:
-    """Return the axes of the first sensor ("+x") along which no pose has gravity; None if a pose is on no face."""
+    """Return the axes of the first sensor ("+x") along which no pose has gravity; None if a pose is not on a face."""
     faces = faces_of(readings.mean_lsb[0] / readings.sensitivity[0])
     if not faces:
         return None
@@ -165,7 +164,9 @@ def _fit_sensor(sensor: SensorLog, means_g: Floats, noise_g: float) -> tuple[Tri
 
 
 def _shape(parameters: Floats) -> Floats:
-    """Return the matrix (3, 3) from readings less bias to specific force: scales, and angles that turn nothing."""
+    """Return the matrix (3, 3) from readings less bias to specific force: scale factors, and angles between the axes
+    without a common rotation.
+    """
     shape = np.diag(parameters[3:6])
     shape[_UPPER] = parameters[6:] / 2
     shape.T[_UPPER] = parameters[6:] / 2
@@ -203,7 +204,7 @@ WORTHLESS_G = 0.05
 """Largest standard error of a bias from a path: a data sheet's tolerance is as small (BMA-113)."""
 
 _ROUNDS = 3
-"""Iterations of fit and motion; they converge in two."""
+"""Number of iterations of fit and motion; two are enough to converge."""
 
 _PARABOLA = 9 / 4
 """Variance of a parabola's value in the middle of evenly spaced readings over that of their mean."""

@@ -61,10 +61,11 @@ class TurnOnResult:
 
     `run_sd_lsb` is the standard deviation from run to run about the states and about the line in temperature, with
     `run_freedom` degrees of freedom; `in_run_sd_lsb` the standard deviation of a run's mean by the scatter within runs,
-    with `in_run_freedom`; `p_value` the probability of so large a ratio if switching on changed nothing, not corrected
-    for many axes (`holm`). These are nan if the scatter within runs is not known. `slope_lsb_per_degc` is None without
-    temperatures. `p_states` is the probability of so good a split by chance; there is one state unless it is below
-    0.01, divided by the number of sensors. `apart` are the runs with a start-up fault.
+    with `in_run_freedom`; `p_value` the probability of a ratio at least as large if switching on does not change the
+    bias, not corrected for many axes (`holm`). These are nan if the scatter within runs is not known.
+    `slope_lsb_per_degc` is None without temperatures. `p_states` is the probability of a split at least as good by
+    chance; there is one state unless it is below 0.01, divided by the number of sensors. `apart` are the runs with a
+    start-up fault.
     """
 
     runs: SensorRuns

@@ -10,8 +10,8 @@ The bias over a turn is interpolated between the poses before and after it, so t
 linear between readings; their rotation is that of the mean rate with the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz,
 IEEE Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). The fit is nonlinear least squares, weighted by the noise at
 rest, integrated over the turn; the covariance is enlarged if the residuals require it. The prior response with its
-covariance is one more measurement: the one measured before, or the data sheet's with its tolerance. Columns that turns
-about too few axes leave open are then known to the data sheet's tolerance.
+covariance is one more measurement: the one measured before, or the data sheet's with its tolerance. Columns that the
+turns do not determine, because they are about too few axes, are then known to the data sheet's tolerance.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def _fit(
     left_out: Sequence[Outlier],
 ) -> tuple[TurnFit, list[float], Floats]:
     """Fit the response to all `turns` and the prior. Returns also for each turn its error in radians with respect to
-    the others, and the probability of so large an error.
+    the others, and the probability of an error at least as large.
     """
     nominal, prior = response_prior
     inverse = nominal.copy()
