@@ -1,9 +1,9 @@
-"""The base model: the simulation without any suspected effect, its few parameters fitted to a campaign's summaries.
+"""The base model: the simulation without any suspected effect, with a few parameters fitted to a campaign's summaries.
 
-Every sensor has fitted `white_noise`, `bias`, a linear `thermal_bias` and, within tolerance, a fitted response to
-specific force. `scale`, `misalignment` and a gyroscope's `g_sensitivity` are drawn for every replicate from their
-populations (`imuarray.gap.model.populations`), since no log in one attitude separates them from a bias. The phase of
-`own_clock` is drawn for every log: it changes at every boot and no log at rest determines it.
+Every sensor has fitted `white_noise`, `bias`, a linear `thermal_bias` and a response to specific force that is fitted
+within its tolerance. `scale`, `misalignment` and a gyroscope's `g_sensitivity` are drawn for every replicate from their
+populations (`imuarray.gap.model.populations`), since they cannot be separated from a bias in a log with one attitude.
+The phase of `own_clock` is drawn for every log, since it changes at every boot and is not determined by a log at rest.
 """
 
 from __future__ import annotations
@@ -73,83 +73,99 @@ __all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "r
 
 
 _IN_STEP = OwnClock(phase_deg=math.nan)
-"""The clock of a chip for which the model gives none."""
+"""Clock of a chip for which the model specifies none."""
 
 _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
-"""Statistics that are logs of the sensor's unit to a power; that power of the fitted noise is divided out of them."""
+"""Probes whose values are logs of quantities in the sensor's unit to this power. These quantities are divided by the
+fitted noise to the same power.
+"""
 
 _SAMPLES_A_ROW = 8
-"""Samples for each row from which on a digital filter looks analogue."""
+"""Number of samples per row from which on a digital filter cannot be distinguished from an analogue one."""
 
 _LAGS, _CUTOFFS = 3, 101
-"""Lags of the correlations to which a filter is fitted, and cutoffs tried for each number of poles."""
+"""Number of lags of the correlations to which a filter is fitted, and number of cutoffs that are tried for each number
+of poles.
+"""
 
 _FORGOTTEN, _WANDERS, _FLAT = 0.1, 4.0, 0.9
-"""The largest correlation that a filter leaves at the last lag if a wander is to show there, the least that does in
-standard deviations, and its least share of that at the lag before.
+"""Conditions for the estimate of a wander from the last lag: the largest correlation there that is expected of the
+filter; the least share of the wander, in standard deviations of a correlation; the least ratio of the correlation to
+that at the lag before.
 """
 
 _DRIFTS, _SLOW_DRIFTS, _DRIFT_BY_CHANCE = 0.35, 3.0, 4.0
-"""Drift over a phase, in standard deviations of the noise, that adds 0.01 to its correlations; the one that makes half
-of its variance; the drift's standard error, times the root of the rows.
+"""Drift over a phase, in standard deviations of the noise, that adds 0.01 to the correlations; drift that causes nearly
+half of the variance; standard error of the drift, multiplied by the root of the number of rows.
 """
 
 _ENOUGH_ROWS, _ENOUGH_SHARE = 500, 0.5
-"""The rows, and the share of all rows at rest, from which on the correlations of phases without a drift tell enough."""
+"""Least number of rows, and least share of all rows at rest, for which the correlations of the phases without a drift
+are sufficient.
+"""
 
 _MEMORY, _MOST_LAGS = 5.0, 200
-"""Time constants after which a filter's noise is forgotten, and most rows of that time."""
+"""Number of time constants after which the correlation of a filter's noise is negligible, and largest number of lags in
+rows.
+"""
 
 _ALL_LAGS = range(1, _LAGS + 3)
-"""The lags of the filter, and two at which a wander shows."""
+"""Lags to which the filter is fitted, and two further lags from which a wander is estimated."""
 
 _MOST_REPEATED = 0.9
-"""Share of repeated rows up to which a filter is fitted to them."""
+"""Upper limit of the share of repeated rows that is used in the fit of a filter."""
 
 _FILTER_MISFIT = 0.1
-"""Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more, and so
-do some short digital filters.
+"""Largest share of the sum of squared correlations that may remain after the fit of a filter. More remains with a
+wander, a line or shared noise, and with some short digital filters.
 """
 
 _BY_CHANCE = 2.0
-"""Variances of an estimated correlation that are due to chance: a median of three axes has less than half of one, so
-that those at three lags together exceed six in one of 250 phases.
+"""Squared correlation, in variances of an estimated correlation, that is attributed to chance. The median of three axes
+has less than half of this variance, so the sum over three lags exceeds six variances in one of 250 phases.
 """
 
 _EXPECTED = 0.35
-"""Share of that which suffices for a filter below the Nyquist frequency of the rows if the rows are too few to prove
-even the configured filter. It is expected, and a model without it would be wrong for most chips.
+"""Factor of that limit if the configured filter is below the Nyquist frequency of the rows and there are too few rows
+for it to exceed the limit. This filter is expected, and a model without it would be wrong for most chips.
 """
 
 _BELOW_NYQUIST = 0.9
-"""Share of half the chip's data rate up to which the configured filter is expected where nothing proves it. One of half
-the rate, as in the ADXL345, leaves hardly any correlation, but a digital one has a zero at half the rate.
+"""Largest cutoff, as a share of half the chip's data rate, for which the configured filter is assumed if its
+correlations are not significant. A filter with a cutoff of half the rate, as in the ADXL345, causes hardly any
+correlation, but its digital form has a zero at half the rate.
 """
 
 _AS_CONFIGURED = 0.006
-"""Relative difference from the configured cutoff within which a filter is the configured one: half of the step between
-the cutoffs that are tried.
+"""Relative difference from the configured cutoff below which a filter counts as the configured one: slightly more than
+half of the step between the cutoffs that are tried.
 """
 
 _BETTER = 1.0
-"""Decrease of chi-squared by which the configured filter is better than none, where neither can be proved."""
+"""Least decrease of chi-squared for which the configured filter is preferred to none if the correlations are not
+significant.
+"""
 
 _MEDIAN_VARIANCE = 0.45
-"""Variance of the median of three independent correlations, over that of one (order statistics of the normal law)."""
+"""Variance of the median of three independent correlations, divided by that of one (order statistics of the normal
+distribution).
+"""
 
 _UNLIKELY = 4.0
-"""Squared correlations, over what chance makes of them, that are those of a short filter although none fits."""
+"""Least ratio of the sum of squared correlations to its limit by chance at which a short filter is assumed although
+none of the filters fits.
+"""
 
 _MEASURED = 1.5
-"""Misfit of the best filter, over what chance makes of it, beyond which correlations are taken as measured."""
+"""Ratio of the misfit of the best filter to its limit by chance above which the measured correlations are used."""
 
 _LARGEST_FORM_ERROR = 0.1
-"""Most of the uncertainty of the log of a cutoff that is due to the filter's form. Where correlations hardly depend on
-the cutoff, what is left of them says nothing of it.
+"""Largest uncertainty of the log of a cutoff that is attributed to the form of the filter. If the correlations hardly
+depend on the cutoff, their residual does not determine its uncertainty.
 """
 
 _FLICKER_SHOWS = 3.0
-"""Multiple of the standard error of the mean over a phase from which on flicker shows."""
+"""Least ratio of usual flicker to the standard error of the mean over a phase at which flicker can be noticeable."""
 
 _GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
@@ -160,13 +176,13 @@ _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 class Base:
     """The fitted base model of an array.
 
-    `fitted` parameters of the sensors by name; `model` has the rest of their effects (None: the usual ones), of which
-    populations are drawn with the `seed`. A sensor whose clock the model does not give has its own phase at each boot.
-    The rows of sensors that are `queued` are the chip's own readings, whatever its clock does. `ambient_lines` are
-    measured by all sensors of a quantity, with another amplitude in each replicate. `common_bias_g`: standard deviation
-    of the bias that the accelerometers of a replicate have in common: where an attitude is estimated from their
-    readings, the fit takes a part of that bias for a tilt, as it does in the recording. Sensors that are `flickering`
-    have some usual flicker in each replicate: their phases are long enough to show it beside the white noise.
+    `fitted`: parameters of the sensors by name. `model`: the other effects (None: the usual ones), whose populations
+    are drawn with the `seed`. A sensor whose clock the model does not specify has a random clock phase at each boot.
+    `queued`: sensors whose rows are the chip's own readings, for any error of its clock. `ambient_lines`: lines that
+    all their sensors measure, with a different amplitude in each replicate. `common_bias_g`: standard deviation of the
+    bias that the accelerometers of a replicate have in common; where an attitude is estimated from their readings, the
+    fit mistakes a part of this bias for a tilt, as it does in the recording. `flickering`: sensors that have usual
+    flicker of a random size in each replicate, since their phases are long enough for it to exceed the white noise.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -179,7 +195,7 @@ class Base:
     flickering: frozenset[str] = frozenset()
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """Return the effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
+        """Return the effects of every sensor; `replicate` 0, 1, ... is the number of the drawn units."""
         drawn_effects = self.drawn(replicate)
         return {
             name: (*drawn_effects[name], *fitted.effects(self.cutoff_deviate(name, replicate)))
@@ -187,19 +203,19 @@ class Base:
         }
 
     def cutoff_deviate(self, sensor: str, replicate: int) -> float:
-        """Return by how many standard deviations the cutoff of a sensor's filter differs from the fitted one in a
-        replicate: a fit to few rows is less precise than the statistics of all rows.
+        """Return the deviation of the log of the cutoff of a sensor's filter from the fitted one in a replicate, in
+        standard deviations (at most 2), since a fit to few rows is less precise than the statistics of all rows.
         """
         stream = Streams(replicate_seed(self.seed, replicate)).of_unit(sensor, Bandwidth.name, "cutoff")
         return float(np.clip(stream.standard_normal(), -2.0, 2.0))
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """Return the effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the
-        slope if the recording's temperatures don't determine it; an accelerometer's position in the box, about that of
-        its header.
+        """Return the effects that are not fitted. They include neither white noise nor the individual bias; of a bias
+        over temperature they include the curve, and the slope if the recording's temperatures do not determine it; for
+        an accelerometer they include its position in the box, drawn around that of its header.
 
-        Parts of even replicates have data clocks in step with the polls and the same bias at each power-on, those of
-        odd ones clocks with a rate error and biases that scatter: a recording may be like either.
+        In even replicates data clocks without a fitted error are in step with the polls, and biases are the same at
+        each power-on; in odd ones these clocks have a rate error and biases scatter. A recording can be of either kind.
         """
         units = Streams(replicate_seed(self.seed, replicate))
         return {name: self._drawn(self.headers[name], units, replicate) for name in self.fitted}
@@ -209,7 +225,7 @@ class Base:
         return usual_model(self.headers.values())
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields without cached results, which are computed again where they are needed."""
+        """Return the fields without cached results, which are computed again when needed."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def _drawn(self, header: SensorHeader, units: Streams, replicate: int) -> tuple[Effect, ...]:
@@ -225,7 +241,7 @@ class Base:
         )
         is_odd = bool(replicate % 2)
         effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
-        if header.name in self.queued:  # the row of a reading has the time at which the chip took it
+        if header.name in self.queued:  # rows have the times at which the chip took the readings
             return tuple(effect for effect in effects if not isinstance(effect, OwnClock))
         if not any(isinstance(effect, OwnClock) for effect in effects):
             effects = (_IN_STEP, *effects)
@@ -240,7 +256,7 @@ class Base:
         return tuple(_with_rate_error(effect, slow) for effect in effects)
 
     def _common_bias(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield the share of the common bias along the axes of an accelerometer."""
+        """Yield the components of the common bias along the axes of an accelerometer."""
         if self.common_bias_g:
             bias_box = self.common_bias_g * units.of_unit("", Bias.name, "common").standard_normal(3)
             bias = bias_box @ np.array(header.orientation) * STANDARD_GRAVITY / SI_PER_UNIT[header.unit]
@@ -248,21 +264,21 @@ class Base:
             yield Bias((x, y, z))
 
     def _thermal_curve(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield the curve of a bias over temperature whose slope is fitted, about the temperature of the slope."""
+        """Yield a random quadratic term of the bias over temperature, about 25 degC, if its slope is fitted."""
         if self.fitted[header.name].is_slope_known:
             growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
             x, y, z = (growth * np.array(self.fitted[header.name].slope)).tolist()
             yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
 
     def _flicker(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield some usual flicker of a sensor whose phases may show it."""
+        """Yield usual flicker of a random size for a sensor that is `flickering`."""
         if header.name in self.flickering:
             shares = units.of_unit(header.name, BiasInstability.name, "usual").uniform(0.0, 1.0, 3)
             x, y, z = (FLICKER_FLOOR[header.unit] * shares).tolist()
             yield usual_flicker((x, y, z))
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield the lines of the surroundings as a sensor of this replicate measures them."""
+        """Yield the ambient lines as a sensor of this replicate measures them."""
         for line in self.ambient_lines:
             if header.name in line.sensors:
                 stream = units.of_unit("", Tone.name, f"{line.frequency_hz!r} Hz")
@@ -276,13 +292,14 @@ def _position_mm(header: SensorHeader, units: Streams) -> Triple:
 
 
 def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
-    """Return the base model of a campaign in whose logs the box did `motions`, one for each log.
+    """Return the base model of a campaign; `motions` are the motions of the box, one for each log.
 
-    From the segments of the phases at rest: noise is the median of their variances; offset the mean of readings less
-    what the nominal axes feel, faces weighted alike (opposite ones cancel an error of scale); slope that of the means
-    over temperature, each log and face about its own mean. Where nobody noted how the box lay, what is felt is the
-    array's own estimate (`imuarray.gap.model.gravity`). A `model` gives the other effects; what these add to noise or
-    level is in the fitted figures as well (`imuarray.gap.inference.comparison.settle_bench` takes it out).
+    The fit uses the segments of the phases at rest. The noise is the median of their variances. The offset is the mean
+    of the readings less the stimulus along the nominal axes, with equal weights of the faces (opposite faces cancel a
+    scale error). The slope is that of the means over temperature, with a separate mean for each log and face. If the
+    attitude of the box was not noted, the stimulus is estimated from the array itself (`imuarray.gap.model.gravity`).
+    `model` specifies the other effects. Their contributions to noise and level are included in the fitted figures too
+    and are removed by `imuarray.gap.inference.comparison.settle_bench`.
     """
     headers = headers_in(campaign)
     lags_s = _lags(campaign, motions, headers)
@@ -301,7 +318,7 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     for name, header in headers.items():
         fitted[name] = replace(fitted[name], clock_error=errors[name], delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
-            continue  # the model says what the filter is
+            continue  # the model specifies the filter
         low_pass, low_pass_sd = _filter_of(campaign, header, fitted[name])
         if low_pass is not None:
             rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
@@ -311,22 +328,25 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
 
 
 def _may_flicker(header: SensorHeader, fitted: FittedParameters, rests: Sequence[Rest]) -> bool:
-    """Return whether the mean over the longest phase at rest is so certain by the white noise that flicker shows."""
+    """Return whether usual flicker exceeds the standard error of the mean over the longest phase at rest, due to white
+    noise, by the factor `_FLICKER_SHOWS`.
+    """
     rows = max((int(rest.rows.sum()) for rest in rests), default=0)
     floor = FLICKER_FLOOR.get(header.unit, 0.0)
     return bool(rows and _FLICKER_SHOWS * min(fitted.rms) / math.sqrt(rows) < floor)
 
 
 def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:
-    """Return the headers of a campaign's sensors, by name."""
+    """Return the headers of a campaign's sensors by name."""
     phases = (phase for log in campaign.logs for phase in log.phases)
     return {name: summary.header for phase in phases for name, summary in phase.sensors.items()}
 
 
 def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campaign:
-    """Return the campaign with what `base` predicts of the phases at rest taken from the means of their segments: what
-    is left of a level, a slope or a face is what the fit doesn't explain, whatever its parameters are. An attitude that
-    nobody noted is the one that its accelerometers tell on average, by their parameters. From turns the bias is taken.
+    """Return the campaign with the predictions of `base` subtracted from the means of the segments at rest. The
+    remaining levels, slopes and differences between faces are those that the fit does not explain. An attitude that was
+    not noted is the mean of those that the accelerometers measure, corrected by their parameters. In turns only the
+    bias is subtracted.
     """
     fitted = base.fitted
     campaign = select_fitted(campaign, fitted)
@@ -345,7 +365,9 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
 
 
 def select_fitted(campaign: Campaign, fitted: Collection[str]) -> Campaign:
-    """Return the campaign with these sensors only: others, as those in the held-out part alone, have no parameters."""
+    """Return the campaign with only these sensors; others, for example sensors that are only in the held-out part, have
+    no parameters.
+    """
     if headers_in(campaign).keys() <= set(fitted):
         return campaign
     logs = []
@@ -359,8 +381,8 @@ def select_fitted(campaign: Campaign, fitted: Collection[str]) -> Campaign:
 
 
 def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
-    """Return statistics of the residuals of a fit, to the campaign or to another part of it: levels less the predicted
-    ones, noises over the fitted ones.
+    """Return the statistics of the residuals of a fit, which was made to the campaign or to another part of it: levels
+    less the predicted ones, and noises divided by the fitted ones.
     """
     raw = statistics(residual(campaign, motions, base))
     return replace(raw, values=raw.values - _predictions(raw.keys, [base])[0])
@@ -369,8 +391,8 @@ def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Bas
 def replicated_statistics(
     campaigns: Sequence[Campaign], motions: Sequence[Motion], bases: Sequence[Base], sensors: Collection[str]
 ) -> ReplicateStatistics:
-    """`residual_statistics` of some sensors in several replicates that were summarised in the same way, each with its
-    own fit.
+    """Return the values of `residual_statistics` for some sensors in several replicates that were summarised with the
+    same layouts, each with its own fit.
     """
     residuals = [residual(campaign, motions, base) for campaign, base in zip(campaigns, bases, strict=True)]
     keys, values = replicate_statistics(residuals, sensors)
@@ -378,7 +400,7 @@ def replicated_statistics(
 
 
 def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
-    """Contribution (r, n) of the fitted noise to statistics that are logs, 0 for others."""
+    """Return the contribution (r, n) of the fitted noise to the statistics in `_NOISE_POWERS`; 0 for others."""
     noises = [
         {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()} for base in bases
     ]
@@ -391,7 +413,7 @@ def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
 
 
 def replicate_seed(seed: int, replicate: int) -> int:
-    """Return a 64-bit seed for each replicate that no small seed equals."""
+    """Return a 64-bit seed for each replicate that differs from every small seed."""
     high, low = np.random.SeedSequence((seed, replicate)).generate_state(2).tolist()
     return int(high) << 32 | int(low) | 1 << 63
 
@@ -425,7 +447,9 @@ def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sens
 def _thermal_change(
     campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, SensorHeader]
 ) -> Callable[[Summary], Floats]:
-    """Function that gives the change of a sensor's mean reading from 25 degC by the slope within single attitudes."""
+    """Return a function that returns the change (3,) of a sensor's mean reading relative to 25 degC, in its unit, from
+    the slope within single attitudes.
+    """
     slopes = {
         name: slope_of(list(_in_any_attitude(campaign, motions, name))) if _is_heated(campaign, name) else None
         for name in headers
@@ -443,7 +467,7 @@ def _thermal_change(
 
 
 def _in_any_attitude(campaign: Campaign, motions: Sequence[Motion], sensor: str) -> Iterator[Rest]:
-    """Return the phases at rest as if nobody knew how the box lay: only changes within one attitude mean anything."""
+    """Return the phases at rest with an arbitrary attitude; only changes within one attitude are meaningful."""
     nowhere = {
         (number, part.phase.start_ns): _GRAVITY_UP for number, log in enumerate(campaign.logs) for part in log.phases
     }
@@ -472,8 +496,8 @@ def _lags(campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, S
 
 
 def _is_heated(campaign: Campaign, sensor: str) -> bool:
-    """Return whether the temperatures of a sensor at rest in a log, in any attitude, may differ enough to tell a slope
-    or a lag.
+    """Return whether the temperatures of a sensor at rest in one log, over all attitudes, may differ enough to
+    determine a slope or a lag.
     """
     for log in campaign.logs:
         degc = [phase.segments.temperature_degc for phase in log.still(sensor)]
@@ -510,9 +534,9 @@ def _residual_turn(phase: PhaseSummary, log: LogSummary) -> PhaseSummary:
 
 
 class _Correlations(NamedTuple):
-    """Correlations (p, k) of a sensor's noise in p phases at rest, at the first k lags, beyond those of readings that
-    are read again; the `reads` and `rows` (p,) of the phases, and the shares (p,) of a wander that would show.
-    `covers`: whether they are most rows at rest of the campaign.
+    """Correlations (p, k) of a sensor's noise in p phases at rest, at the first k lags, less those due to readings that
+    are read repeatedly; the `reads` and the number of `rows` (p,) of the phases, and the least share (p,) of a wander
+    that is detectable. `covers`: whether the phases have more than half of the rows at rest of the campaign.
     """
 
     values: Floats
@@ -523,11 +547,13 @@ class _Correlations(NamedTuple):
 
     @property
     def by_chance(self) -> float:
-        """The sum of squares over the lags that the mean of the phases has by chance."""
+        """Limit of the sum of squares over the lags that is attributed to chance, for the mean over the phases."""
         return _BY_CHANCE * _LAGS / float(self.rows.sum())
 
     def misfit(self, expected: Floats) -> float:
-        """Return the sum of squares over the lags, in the mean over rows, beyond correlations `expected` (p, k)."""
+        """Return the sum of squares over the lags of the correlations less those `expected` (p, k) and a wander,
+        averaged over the phases weighted by rows.
+        """
         (misfit,) = self.misfits(expected[None])
         return misfit
 
@@ -537,20 +563,21 @@ class _Correlations(NamedTuple):
         return [float(self.rows @ of_phases / self.rows.sum()) for of_phases in squares]
 
     def beyond(self, expected: Floats) -> Floats:
-        """Return the correlations beyond those `expected` (..., p, k) and a wander."""
+        """Return the correlations at the lags of the fit less those `expected` (..., p, k) and a wander."""
         return _beyond_wander(self.values, expected, self.least_wander)
 
     def mean(self, values: Floats) -> Floats:
-        """Return the mean of values (p, k) over rows."""
+        """Return the mean (k,) of values (p, k) over the phases, weighted by rows."""
         return np.asarray(self.rows @ values / self.rows.sum())
 
 
 def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> _Correlations | None:
-    """Return the correlations of the phases that tell them; None if there are none.
+    """Return the correlations of the noise in the phases that determine them; None if no phase does.
 
-    Rows of a chip that is polled faster than it samples are 0, 1, ... samples apart (`_samples_apart`): those that read
-    one sample again are equal whatever the filter. What rounding adds no filter passes. A phase may wander, as in the
-    heat, and is left out if others tell enough (`_level_phases`).
+    Rows of a chip that is polled faster than it samples are 0, 1, ... samples apart (`_samples_apart`); rows that
+    repeat a sample are equal for any filter. Rounding noise does not pass the filter, so the correlations are divided
+    by the share of the other noise. Phases that drift, for example during heating, are left out if the others are
+    sufficient (`_level_phases`).
     """
     every_rest = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     rests = _level_phases(every_rest, fitted.noise(header))
@@ -569,15 +596,16 @@ def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParame
 
 
 def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> tuple[Bandwidth | None, float]:
-    """Return the chip's own filter, if rows come fast enough to show it and do (else None), and the standard deviation
-    of the log of its cutoff.
+    """Return the chip's own filter, or None if the rows do not show one, and the standard deviation of the log of its
+    cutoff.
 
-    By least squares of the correlations at lags 1 to 3, among filters of one pole and of two whose cutoffs are within
-    `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that samples at the chip's data
-    rate), and noise without a memory. If none of these filters fits as chance allows, the nearest one has the measured
-    correlations; if none fits at all, only where a few rows later nothing is left of them, as behind a short filter: a
-    wander, a line or shared noise lasts. Correlations tell no filter if neither they nor their mean over the phases are
-    larger than chance makes those of white noise; then the configured one is expected if it fits better than none.
+    The filter is a least-squares fit to the correlations at lags 1 to 3. The candidates are filters of one and two
+    poles with cutoffs within `CUTOFF_TOLERANCE` of the configured one, analogue and digital (behind a converter that
+    samples at the chip's data rate), and white noise. If the misfit of the best filter is larger than chance allows,
+    that filter is returned with the measured correlations. If no filter fits at all, this is done only if the
+    correlations vanish after a few rows, as those of a short filter do; correlations of a wander, a line or shared
+    noise persist. If neither the correlations nor their mean over the phases are larger than those of white noise by
+    chance, the configured filter is returned if it fits better than none.
     """
     configured_hz = noise_bandwidth_hz(header)
     measured = _correlations(campaign, header, fitted) if configured_hz > 0 else None
@@ -630,8 +658,9 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
 
 
 def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandwidth, Floats]) -> float:
-    """Return the change of the log of the cutoff that would change the correlations as much as the `best` filter leaves
-    of them, at most `_LARGEST_FORM_ERROR`: a chip's filter has not exactly the response of any of these.
+    """Return the change of the log of the cutoff that changes the correlations by as much as their residual after the
+    fit of the `best` filter, at most `_LARGEST_FORM_ERROR`: the response of a chip's filter is not exactly that of any
+    of these filters.
     """
     family = {other.cutoff_hz: other for other in filters if replace(other, cutoff_hz=best.cutoff_hz) == best}
     low_hz, high_hz = min(family), max(family)
@@ -642,14 +671,14 @@ def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandw
 
 
 def _is_forgotten(correlations: Sequence[float]) -> bool:
-    """Return whether nothing is left of the noise after the lags to which filters are fitted."""
+    """Return whether the correlations are negligible beyond the lags to which filters are fitted."""
     return all(abs(correlation) < LEAST_CORRELATION for correlation in correlations[_LAGS:])
 
 
 def _of_samples(measured: _Correlations, expected: Floats) -> tuple[float, ...]:
-    """Return the correlations of successive samples of the chip without a wander, which shows at the last lag, beyond
-    what the nearest filter, `expected` (p, k), still remembers; empty if rows are not its samples, or no noise has
-    them.
+    """Return the correlations of successive samples of the chip without those of a wander, which is estimated from the
+    last lag, beyond the correlation of the nearest filter, `expected` (p, k), there. Empty if the rows are not the
+    chip's samples, or if no noise has these correlations.
     """
     if any(abs(pace.samples_a_row - 1) >= AT_ITS_RATE for pace in measured.reads):
         return ()
@@ -664,8 +693,10 @@ def _of_samples(measured: _Correlations, expected: Floats) -> tuple[float, ...]:
 
 
 def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
-    """Return the phases whose level does not drift beside noise (3,), if these have most of the rows; otherwise with
-    those that have enough rows to tell their drift from the noise; otherwise the first if they have some rows, or all.
+    """Return the phases with a level that does not drift compared with the `noise` (3,), if they have enough rows and
+    at least half of all rows. Otherwise return these and the phases with a drift that can be estimated as a wander, if
+    together they have that many rows. Otherwise return the phases without drift if they have enough rows, or else all
+    phases.
 
     A drift by d standard deviations of the noise over a phase adds d^2 / 12 to the correlations at all lags.
     """
@@ -680,7 +711,9 @@ def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
 
 
 def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidth) -> Floats:
-    """Return correlations (k,) of noise behind a filter at lags of 1 ... k rows, as far as it remembers."""
+    """Return the correlations (k,) of noise behind a filter at lags of 1 ... k rows, up to the lag at which they are
+    negligible.
+    """
     phases = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     rows_per_s = 1 / float(np.median([phase.intervals.mean_s for phase in phases]))
     decay = effect.decay(rows_per_s)
@@ -690,19 +723,19 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
 
 
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
-    """Return correlations (p, k) of p phases at k lags less those `expected` (..., p, k), with a wander in each phase,
-    at all lags but the last two.
+    """Return the correlations (p, k) of p phases at k lags less those `expected` (..., p, k) and those of a wander in
+    each phase, at all lags except the last two.
     """
     wander = _wander(correlations, expected, least)
     return np.asarray((correlations - expected - wander * (1 - expected))[..., :_LAGS])
 
 
 def _wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
-    """Return the share (..., p, 1) of the variance that a slow wander has in each of p phases.
+    """Return the share (..., p, 1) of a slow wander in the variance in each of p phases.
 
-    A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last lag
-    tells w, if the filter has forgotten by then, w is at least `least` (p,), and the correlation no longer falls, as
-    far as chance allows to tell.
+    A wander with the share w of the variance changes a correlation r to r + w (1 - r) at every lag. The last lag
+    determines w if the filter's correlation is small there, w is more than `least` (p,), and the correlation does not
+    decrease significantly from the lag before. Otherwise the share is 0.
     """
     far, expected_far = correlations[:, -1], expected[..., -1]
     share = (far - expected_far) / (1 - expected_far)
@@ -712,8 +745,8 @@ def _wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
 
 
 class _Reads(NamedTuple):
-    """The reads of a sensor: how many a second, and the samples of the chip from one to the next; 1 where there are
-    many.
+    """The reads of a sensor: their number per second, and the number of samples of the chip between two of them, which
+    is computed from the share of repeated rows if it is near 1, below 1 or large.
     """
 
     rows_per_s: float
@@ -721,8 +754,8 @@ class _Reads(NamedTuple):
 
 
 def _reads(phase: Summary, rate_hz: float, is_flagged: bool) -> _Reads:
-    """Return the reads of a phase of a chip that samples at `rate_hz`, rounded so that phases of one rate share what is
-    computed for it.
+    """Return the reads of a phase for a chip that samples at `rate_hz`, rounded so that results are cached for all
+    phases with the same rate.
     """
     rows_per_s = round(1 / phase.intervals.mean_s, 2)
     samples_a_row = rate_hz / rows_per_s
@@ -732,15 +765,17 @@ def _reads(phase: Summary, rate_hz: float, is_flagged: bool) -> _Reads:
 
 
 def _samples_apart(samples_a_row: float, lag: int) -> dict[int, float]:
-    """Return the shares of rows `lag` apart that lie 0, 1, ... samples of the chip apart, if both clocks are even."""
+    """Return the shares of the pairs of rows at the given lag that are 0, 1, ... samples of the chip apart, for uniform
+    clocks.
+    """
     least, rest = divmod(lag * samples_a_row, 1.0)
     return {int(least): 1 - rest, int(least) + 1: rest}
 
 
 @lru_cache(maxsize=1024)
 def _filter_correlations(configured_hz: float, sampled_hz: float, reads: _Reads) -> Floats:
-    """Return what the correlations (f, k) behind each of the filters that a chip may have, at the first k lags of these
-    reads, have beyond those of noise without a memory; many replicates have the same reads.
+    """Return the correlations (f, k) of noise behind each of f possible filters of a chip, at the first k lags of these
+    reads, less those of white noise. Results are cached, since many replicates have the same reads.
     """
     rows_per_s, samples_a_row = reads
     filters = _filters(configured_hz, sampled_hz)
@@ -759,8 +794,8 @@ def _filter_correlations(configured_hz: float, sampled_hz: float, reads: _Reads)
 
 @lru_cache(maxsize=64)
 def _filters(configured_hz: float, sampled_hz: float) -> tuple[Bandwidth, ...]:
-    """Return the filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows
-    come far more slowly than its samples looks analogue.
+    """Return the possible filters of the chip: analogue ones, and digital ones unless `sampled_hz` is infinite, which
+    means that the rows are too slow to distinguish them from analogue ones.
     """
     return tuple(
         Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled, warped=warped)
@@ -771,8 +806,9 @@ def _filters(configured_hz: float, sampled_hz: float) -> tuple[Bandwidth, ...]:
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
-    """Return the clock with so much error of rate if nobody knows its rate and phase; other effects are unchanged.
-    Where rows come at its nominal rate it is faster than these: a slower one would repeat readings, which are fitted.
+    """Return the clock with a rate error of the size of `rate_error` if its rate and phase are unknown; other effects
+    are returned unchanged. The clock is made faster than the polls, since a slower one would repeat readings, and the
+    rate of a clock with repeats is fitted.
     """
     if isinstance(effect, OwnClock) and not effect.rate_error and math.isnan(effect.phase_deg):
         return replace(effect, rate_error=abs(rate_error), polled=1.0)

@@ -1,7 +1,7 @@
-"""The bench on which models of sensors are compared: statistics of the recorded campaign and of its simulations.
+"""The bench that compares models of sensors by the statistics of the recorded campaign and of its simulations.
 
-A statistic of either part of the campaign is computed from the residuals of the fit to the training part, in the
-recording and in every simulation: levels of the held-out part are relative to the bias of the training part.
+The statistics of both parts of a campaign are computed from the residuals of the fit to its training part, in the
+recording and in every simulation. Levels of the held-out part are therefore relative to the bias of the training part.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from imuarray.simulate.motion.posed import PoseSequence
 
 @dataclass(frozen=True)
 class StatisticValues:
-    """Statistics of a campaign: `values` (n,) under the bench's keys, those of the training part first, the ordinary
-    parameters `fitted` to the training part, and on request figures of use.
+    """Statistics of a campaign: `values` (n,) of the keys of the bench, those of the training part first, the ordinary
+    parameters `fitted` to the training part, and on request figures of use (`uses`).
     """
 
     values: Floats
@@ -42,11 +42,11 @@ class StatisticValues:
 
 @dataclass(frozen=True)
 class Bench(Stage):
-    """The stage of a recorded campaign with the keys of its statistics: `of_train` keys of the training part, then
-    those of the held-out part.
+    """The stage of a recorded campaign with the `keys` of its statistics: `of_train` keys of the training part,
+    followed by those of the held-out part.
 
-    `resolutions` (n,): the least meaningful difference of each. `is_refitted`: the base model is fitted to the training
-    part of every campaign; otherwise all are measured with its own parameters, which come from elsewhere.
+    `resolutions` (n,): the least meaningful difference of each statistic. `is_refitted`: the base model is fitted again
+    to the training part of every campaign; if false, the given parameters of `base` are used for all campaigns.
     """
 
     keys: tuple[Key, ...]
@@ -60,31 +60,33 @@ class Bench(Stage):
         return np.arange(len(self.keys)) >= self.of_train
 
     def columns(self, sensors: Collection[str], *, cross: bool) -> Indices:
-        """Return the places of these sensors' keys; `cross`: including the statistics that sensors share at rest."""
+        """Return the places of these sensors' keys; `cross`: include statistics of several sensors at rest."""
         places = self._places(frozenset(sensors))
         return places if cross else places[~self._is_cross[places]]
 
     def own(self, unit: Collection[str]) -> Indices:
-        """Return the places of the statistics of a unit: of one sensor without those that sensors share, of several
-        with them.
+        """Return the places of the statistics of a unit, which is a set of sensors. Those that compare sensors at rest
+        are included only if it has several sensors.
         """
         return self.columns(unit, cross=len(unit) > 1)
 
     def among(self, unit: Collection[str], sensors: Collection[str]) -> Booleans:
-        """Return the mask of the statistics of these sensors, as a replicate has them, that belong to a unit of them
+        """Return the mask of the statistics of these sensors, in the order of a replicate, that belong to the `unit`
         (`own`).
         """
         return np.isin(self.columns(sensors, cross=True), self.own(unit))
 
     def pairs(self, places: Indices | None = None) -> Pairs:
-        """Return all statistics, or those at some places, of both parts in pairs."""
+        """Return the pairs of corresponding statistics of both parts: of all, or of those at `places`."""
         chosen = np.arange(len(self.keys)) if places is None else places
         keys = [self.keys[at] for at in chosen.tolist()]
         return pairs_of(keys, self.held_out[chosen].tolist(), [self._log_numbers[at] for at in chosen.tolist()])
 
     @cached_property
     def _log_numbers(self) -> list[int]:
-        """The log number of each key, such that the first logs of a kind in both parts have the same number."""
+        """Log number of each key, with equal numbers for corresponding logs of both parts: the first of a kind, the
+        second, and so on.
+        """
         numbers: dict[tuple[str, int], int] = {}
         parts: list[list[int]] = []
         for held_out in (False, True):
@@ -95,7 +97,7 @@ class Bench(Stage):
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
     def of_keys(self, chosen: Booleans) -> Bench:
-        """Return the bench of some of the statistics (n,)."""
+        """Return the bench with only the `chosen` (n,) statistics."""
         keys = tuple(key for key, is_chosen in zip(self.keys, chosen.tolist(), strict=True) if is_chosen)
         of_train = int(np.count_nonzero(chosen[: self.of_train]))
         return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
@@ -119,7 +121,9 @@ class Bench(Stage):
 
     @cached_property
     def scatter_group(self) -> npt.NDArray[np.str_]:
-        """Group (n,) of each key by probe, axis and kind of log: the statistics of a group have the same scatter."""
+        """Group (n,) of each key by probe, axis and kind of log; statistics of one group are assumed to have the same
+        scatter.
+        """
         pairs = zip(self.keys, self.log_kinds, strict=True)
         return np.array([f"{key.probe} {key.axis} {kind}" for key, kind in pairs])
 
@@ -139,7 +143,9 @@ class Bench(Stage):
 
     @cached_property
     def _is_cross(self) -> Booleans:
-        """Mask of the keys that sensors share at rest; in motion all sensors are simulated, since all feel it."""
+        """Mask (n,) of the keys that compare sensors at rest. Those in motion are not included, since all inertial
+        sensors are simulated in motion.
+        """
         return np.array([_is_shared(PROBES[key.probe]) for key in self.keys], bool)
 
     @cached_property
@@ -148,13 +154,15 @@ class Bench(Stage):
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
 
     def _places(self, sensors: frozenset[str]) -> Indices:
-        """Return the places of all keys of these sensors, ascending."""
+        """Return the places of all keys of these sensors in ascending order."""
         return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 
     def replicate(
         self, models: Models, number: int, *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> StatisticValues:
-        """Return statistics of `simulated`, under the keys of these sensors (`columns`), with its own fit."""
+        """Return the statistics of the campaign that `simulated` returns, for the keys of the sensors of `models`
+        (`columns`), with its own fit.
+        """
         (values,) = self.replicates([(models, number)], held_out=held_out, other_models=other_models)
         return values
 
@@ -165,17 +173,17 @@ class Bench(Stage):
         held_out: bool = True,
         other_models: Models = MappingProxyType({}),
     ) -> list[StatisticValues]:
-        """`replicate` for several replicates of the same sensors, which is faster than one after the other."""
+        """Return what `replicate` returns for several replicates of the same sensors; faster than single calls."""
         campaigns = self.campaigns(requests, held_out=held_out, other_models=other_models)
         return self.each_measured(campaigns, requests[0][0], held_out=held_out)
 
     def observed(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
-        """`measured`, with figures of use."""
+        """Return what `measured` returns, with figures of use."""
         (values,) = self.each_observed([campaign], sensors)
         return values
 
     def each_observed(self, campaigns: Sequence[Campaign], sensors: Collection[str]) -> list[StatisticValues]:
-        """`observed`, of several replicates."""
+        """Return what `observed` returns for each of several campaigns."""
         measured = self.each_measured(campaigns, sensors)
         bases = [replace(self.base, fitted=values.fitted) for values in measured]
         uses = [
@@ -185,8 +193,8 @@ class Bench(Stage):
         return [replace(values, uses=replicate_uses) for values, replicate_uses in zip(measured, uses, strict=True)]
 
     def measured(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
-        """Return statistics of these sensors in a campaign that was summarised like the recorded one, nan where it has
-        none.
+        """Return the statistics of these sensors in a campaign that was summarised like the recorded one; nan for
+        statistics that it lacks.
         """
         (values,) = self.each_measured([campaign], sensors)
         return values
@@ -194,7 +202,7 @@ class Bench(Stage):
     def each_measured(
         self, campaigns: Sequence[Campaign], sensors: Collection[str], *, held_out: bool = True
     ) -> list[StatisticValues]:
-        """`measured`, of several replicates."""
+        """Return what `measured` returns for each of several campaigns; only the training part unless `held_out`."""
         all_motions = self._known_motions(campaigns[0])
         sides = [self.split.train(campaign) for campaign in campaigns]
         motions = [all_motions[at] for at in sides[0].logs]
@@ -209,8 +217,8 @@ class Bench(Stage):
         return [StatisticValues(row, base.fitted) for row, base in zip(sensor_values, bases, strict=True)]
 
     def _known_motions(self, campaign: Campaign) -> tuple[Motion, ...]:
-        """Return the motions as the sensors of a campaign can determine them: attitudes that all accelerometers of a
-        log estimate together are taken as known if some of these are missing at rest.
+        """Return the motions for the sensors of a campaign. Attitudes that are estimated from all accelerometers of a
+        log are used as known attitudes if the campaign lacks one of these accelerometers at rest.
         """
         return tuple(
             _with_known_attitudes(performed.motion) if self._lacks_accelerometers(log, performed) else performed.motion
@@ -218,13 +226,15 @@ class Bench(Stage):
         )
 
     def _lacks_accelerometers(self, log: LogSummary, experiment: Experiment) -> bool:
-        """Return whether the phases at rest lack an accelerometer of the log."""
+        """Return whether an accelerometer of the log is missing in the phases at rest."""
         there = {name for phase in log.phases if phase.is_still for name in phase.sensors}
         recorded = {name for name in experiment.plan.sensors if name in self.base.headers}
         return any(self.base.headers[name].quantity == "specific_force" for name in recorded - there)
 
     def _put(self, values: Floats, statistics: ReplicateStatistics, part: int) -> None:
-        """Write statistics (r, m) of one part to their places (r, n); keys that the recording lacks are dropped."""
+        """Write statistics (r, m) of one part to their places in `values` (r, n); keys that the recording lacks are
+        ignored.
+        """
         columns = slice(self.of_train, None) if part else slice(self.of_train)
         if statistics.keys == self.keys[columns]:
             values[:, columns] = statistics.values
@@ -235,7 +245,7 @@ class Bench(Stage):
 
 
 def _with_known_attitudes(motion: Motion) -> Motion:
-    """Return the motion with estimated attitudes taken as known."""
+    """Return the motion with its estimated attitudes marked as known."""
     if not isinstance(motion, PoseSequence):
         return motion
     known = tuple(attitude._replace(estimated=False) for attitude in motion.attitudes)
@@ -262,8 +272,8 @@ def bench_of(campaign: Campaign, split: Split, experiments: Sequence[Experiment]
 
 
 def _without_waiting(experiment: Experiment, queued: Collection[str]) -> Experiment:
-    """Return the experiment in which readings of sensors with a queue wait for no poll: their rows
-    are the chip's own.
+    """Return the experiment with the rate of sensors with a queue set to 0, so that their readings do not wait for a
+    poll: their rows are the chip's own readings.
     """
     sensors = {
         name: (replace(header, rate_hz=0.0) if name in queued else header, line)

@@ -30,12 +30,16 @@ TAUS_S = (60.0, 50.0, 40.0, 30.0, 20.0, 15.0, 10.0, 5.0, 2.0, 1.0)
 """Coasting times that are tried, in s; the longest one that the phases at rest determine is used."""
 
 _TERMS = 12
+"""Least number of terms of the Allan variance at the coasting time, summed over the phases."""
+
 _LEAST_RATIO = 4.25
 """Least length of a phase in coasting times: it then has Allan variances up to twice the coasting time, between which
 the variance is interpolated.
 """
 
 _LEAST_REPLICATES = 8
+"""Least number of replicates that give the interval of a recorded figure."""
+
 _TINY = np.finfo(float).tiny
 
 _COASTING = {"angular_rate": ("heading", "deg", 180 / np.pi), "specific_force": ("velocity", "m/s", 1.0)}

@@ -1,6 +1,6 @@
-"""Replication of a recorded campaign, in part or whole, with its sensors simulated by models.
+"""Replication of a recorded campaign, or of parts of it, with simulated sensors.
 
-A replicate is identified by its number: the same number draws the same parts again, whatever models the sensors have.
+A replicate is identified by its number: the same number draws the same parts again, for any models of the sensors.
 """
 
 from __future__ import annotations
@@ -52,31 +52,33 @@ class SensorModel:
 
 
 Models = Mapping[str, SensorModel]
-"""By sensor."""
+"""Models by sensor."""
 
 
 @dataclass(frozen=True)
 class RememberedMotion(MotionVariant):
-    """A motion that keeps what was felt at the latest times in a memory, by its `owner` there."""
+    """A motion that caches its stimuli at the latest times in a `memory`, under the key `owner`."""
 
     memory: DrawMemory
     owner: Hashable
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return what the box feels at times (n,), read-only."""
+        """Return the stimuli of the box at times (n,), as read-only arrays."""
         key = ("felt", self.owner, time_ns.tobytes())
         return self.memory.recall(key, lambda: _read_only(self.motion.felt(time_ns)), _felt_bytes)
 
 
 def _read_only(felt: Felt) -> Felt:
-    """Return what is felt in arrays that cannot be written to."""
+    """Make the arrays of the stimuli read-only, and return the stimuli."""
     for item in fields(felt):
         getattr(felt, item.name).flags.writeable = False
     return felt
 
 
 def _felt_bytes(felt: Felt) -> int:
-    """Return the memory of what is felt, whose constant columns are one row, and that of its times as a key."""
+    """Return the size of the stimuli in bytes, including their times as a key; constant columns, which store a single
+    row, are not counted.
+    """
     columns = [getattr(felt, item.name) for item in fields(felt)]
     return int(felt.time_ns.nbytes + sum(column.nbytes for column in columns if 0 not in column.strides))
 
@@ -84,46 +86,53 @@ def _felt_bytes(felt: Felt) -> int:
 Effects = Mapping[str, tuple[Effect, ...]]
 
 ReplicateRequest = tuple[Models, int]
-"""A replicate: its models and its number."""
+"""Models and number of a replicate."""
 
 _OF_LEVELS = frozenset({"channel_swap", "range_reset"})
 """Kinds of effect that change readings by an amount that depends on their level, offset included."""
 
 TOGETHER = 8
-"""Replicates that one job simulates if there are many: common work is done once, and there are enough jobs for many
-workers.
+"""Largest number of replicates that one job simulates: common work is done once per job, and there are enough jobs for
+many workers.
 """
 
 _JOB_ROWS = 10_000_000
-"""Most rows of a job over all sensors, some seconds of work, so that workers end at about the same time and progress
-shows soon.
+"""Largest number of rows of a job over all sensors: some seconds of work, so that workers finish at about the same time
+and progress is shown early.
 """
 
 _ROWS = 8 * CHUNK
-"""Rows of a sensor in all replicates of a log that are processed together; each replicate keeps four chunks."""
+"""Largest number of rows of a sensor, over the replicates of a log that are processed together; each replicate keeps
+four chunks.
+"""
 
 _MEMORY_BYTES = 1 << 26
-"""Draws and motions that a process remembers: those of a sensor of an hour at 100 Hz in two replicates, or of ten
-minutes in a dozen.
+"""Size of the cache of draws and motions of a process, in bytes: enough for a sensor in two replicates of an hour at
+100 Hz, or in twelve of ten minutes.
 """
 
 _ROWS_BYTES = 1 << 25
-"""Rows that a process remembers of sensors with which others are compared: an hour of six sensors at 40 Hz, or some
-motions of minutes in eight replicates.
+"""Size of the cache of rows of sensors that others are compared with, in bytes per process: enough for an hour of six
+sensors at 40 Hz, or for several motions of some minutes in eight replicates.
 """
 
 _SIGNALS_BYTES = 1 << 26
-"""Signals that a process remembers, which models have in common: those of three sensors of three hours at 28 Hz."""
+"""Size of the cache of signals that several models have in common, in bytes per process: enough for three hours of
+three sensors at 28 Hz.
+"""
 
 _KEPT_LOGS = 256
-"""Summaries of logs that a process keeps: of a sensor in two replicates of a campaign of a hundred logs."""
+"""Number of log summaries that a process caches: enough for a sensor in two replicates of a campaign of a hundred logs.
+"""
 
 _KEPT = 128
-"""Simulated sensors that are cached of logs in which the box moves: eight replicates of eight sensors in two logs."""
+"""Number of simulated sensors, and of other results per replicate, that are cached: enough for eight replicates of
+eight sensors in two logs.
+"""
 
 
 class LogPart(NamedTuple):
-    """The phases of a log (by its number) that are simulated, their layouts, and which rows of them are required."""
+    """The phases of log number `log` that are simulated, their layouts, and which of their rows are needed."""
 
     log: int
     phases: Sequence[Phase]
@@ -135,8 +144,9 @@ class LogPart(NamedTuple):
 class Stage:
     """The common part of the replicates of a campaign.
 
-    `kinds` of the logs and `layouts` of every phase of the split; the `split`, the `experiments` and the base model.
-    Boots are numbered from `first_boot`: stages of one array with other numbers have the same parts but other noise.
+    It consists of the `kinds` of the logs, the `split`, the `layouts` of every phase of the split, the `experiments`
+    and the base model. Boots are numbered from `first_boot`: stages of one array with different numbers have the same
+    parts but different noise.
     """
 
     kinds: tuple[str, ...]
@@ -153,21 +163,21 @@ class Stage:
 
     @property
     def together(self) -> int:
-        """The number of replicates of all sensors that one job simulates."""
+        """Number of replicates of all sensors that one job simulates."""
         rows = sum(line.rows for experiment in self.experiments for _, line in experiment.plan.sensors.values())
         return min(max(_JOB_ROWS // max(rows, 1), 1), TOGETHER)
 
     def models(self) -> dict[str, SensorModel]:
-        """Return every sensor with the model of the base model."""
+        """Return, for every sensor, its model in the base model."""
         return {name: SensorModel(fitted) for name, fitted in self.base.fitted.items()}
 
     def simulated(
         self, models: Models, number: int, *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> Campaign:
-        """Return replicate `number` of these sensors: all phases that are used, or (`held_out` False) the training
-        part.
+        """Return replicate `number` of the sensors of `models`: all phases that are used, or (`held_out` False) only
+        the training part.
 
-        Other sensors are simulated by `other_models`, or by the base model.
+        Other sensors are simulated with `other_models`, or with the base model.
         """
         (campaign,) = self.campaigns([(models, number)], held_out=held_out, other_models=other_models)
         return campaign
@@ -180,10 +190,11 @@ class Stage:
         other_models: Models = MappingProxyType({}),
         logs: Collection[int] | None = None,
     ) -> list[Campaign]:
-        """`simulated` for several replicates of the same sensors, each with its models and its number; only these
-        `logs` (None: all), the others without phases.
+        """Return what `simulated` returns for several replicates of the same sensors, each with its models and its
+        number. Only the given `logs` (None: all) are simulated; the others have no phases.
 
-        Of sensors without a model only what those with one are compared with is simulated (`_is_compared_with`).
+        A sensor without a model is simulated only where the sensors with models are compared with it
+        (`_is_compared_with`).
         """
         chosen = range(len(self.kinds)) if logs is None else logs
         effects = [self._effects({**other_models, **models}, number) for models, number in requests]
@@ -198,7 +209,7 @@ class Stage:
         return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
 
     def motion_replicates(self, requests: Sequence[ReplicateRequest]) -> list[Campaign]:
-        """`campaigns`, only the phases of both parts in which the box moves."""
+        """Return what `campaigns` returns, with only those phases of both parts in which the box moves."""
         effects = [self._effects(models, number) for models, number in requests]
         parts = []
         for log, share in enumerate(self.split.shares):
@@ -210,8 +221,8 @@ class Stage:
     def _replicated(
         self, part: LogPart, requests: Sequence[ReplicateRequest], effects: Sequence[Effects]
     ) -> list[LogSummary]:
-        """Return summaries of a part of a log in several replicates. Replicates that are the same are simulated once:
-        many hypotheses change some of the logs only.
+        """Return the summaries of a part of a log in several replicates. Equal replicates are simulated only once,
+        since many hypotheses change only some of the logs.
         """
         if not part.phases:
             return [LogSummary(self.kinds[part.log], ())] * len(requests)
@@ -238,14 +249,16 @@ class Stage:
         return [known[key] for key in keys]
 
     def _log_key(self, part: LogPart, models: Models, number: int, effects: Effects) -> Hashable:
-        """Return all that a part of a log depends on in a replicate; of one log, parts differ by their demand."""
+        """Return a key of everything that the summary of a part of a log depends on in a replicate. Parts of one log
+        differ in their demand.
+        """
         is_swapped = any(effect.name == ChannelSwap.name for of_sensor in effects.values() for effect in of_sensor)
         names = effects if is_swapped else self._simulated_names(part.log, models, effects)
         return part.log, number, part.demand, frozenset(models), tuple((name, effects[name]) for name in names)
 
     @cached_property
     def _latest_logs(self) -> dict[Hashable, LogSummary]:
-        """The latest logs in which not all effects of the sensors act, by all that they depend on."""
+        """Cache of the latest logs in which not all effects of the sensors act, by `_log_key`."""
         return {}
 
     def _summarised(
@@ -271,9 +284,9 @@ class Stage:
     def _sources(
         self, log: int, models: Models, number: int, effects: Effects, demand: Demand, common: Mapping[str, int]
     ) -> dict[str, Source]:
-        """One replicate of a log: these sensors and those with which they are compared. Many models share the others,
-        and the signal after the first `common` effects of these. Those that are only compared in motion are simulated
-        only there.
+        """Return one replicate of a log: the sensors of `models` and those with which they are compared. The latter are
+        shared between many models, as is the signal of each sensor of `models` after its first `common` effects.
+        Sensors that are compared only in motion are simulated only in motion.
         """
         experiment = self.experiments[log]
         plan = experiment.plan
@@ -301,7 +314,7 @@ class Stage:
         }
 
     def _simulated_names(self, log: int, models: Models, effects: Effects) -> list[str]:
-        """Return the sensors with these models and those of the log with which they are compared."""
+        """Return the sensors of a log that have one of these models or that they are compared with."""
         return [
             name
             for name in self.experiments[log].plan.sensors
@@ -309,16 +322,16 @@ class Stage:
         ]
 
     def _is_compared_with(self, log: int, name: str, models: Models) -> bool:
-        """Return whether statistics of the sensors with these models depend on this sensor: on all inertial ones where
-        the box moves.
+        """Return whether statistics of the sensors with these models depend on this sensor. If the box moves in the
+        log, they depend on all inertial sensors.
         """
         if self._moves[log] and self.base.headers[name].quantity in INERTIAL:
             return True
         return self._is_compared_at_rest(name, models)
 
     def _is_compared_at_rest(self, name: str, models: Models) -> bool:
-        """Return whether statistics at rest of the sensors with these models depend on this sensor: one of them, or if
-        there are several, one that measures the same.
+        """Return whether statistics at rest of the sensors with these models depend on this sensor: if it is one of
+        them, or, with several models, if it measures the same quantity as one of them.
         """
         if name in models:
             return True
@@ -327,7 +340,7 @@ class Stage:
 
     @cached_property
     def _cached_source(self) -> Callable[[int, str, tuple[Effect, ...], int, Demand], Source]:
-        """`_source`, with a cache of sources, whose rows are remembered too."""
+        """`_source` with a cache of sources; their rows are cached too."""
 
         def source(log: int, name: str, effects: tuple[Effect, ...], number: int, demand: Demand) -> Source:
             owner = (log, name, effects, number)
@@ -339,33 +352,35 @@ class Stage:
 
     @cached_property
     def _memory(self) -> DrawMemory:
-        """The latest draws and motions: many models are compared in the same replicates."""
+        """Cache of the latest draws and motions, which many models in the same replicates have in common."""
         return DrawMemory(_MEMORY_BYTES)
 
     @cached_property
     def _rows_memory(self) -> DrawMemory:
-        """The latest rows of sensors with which others are compared, apart from draws, of which there are many more."""
+        """Cache of the latest rows of sensors with which others are compared; separate from that of the draws, which
+        are far more numerous.
+        """
         return DrawMemory(_ROWS_BYTES)
 
     def _share(self, owner: Hashable, common: int, sensor: SimulatedSensor) -> None:
-        """Let a sensor remember its signal after the first effects, which several models have in `common`."""
+        """Make a sensor cache its signal after the first `common` effects, which several models share."""
         if common:
             sensor.share(self._signals_memory, owner, common)
 
     @cached_property
     def _signals_memory(self) -> DrawMemory:
-        """The latest signals that several models of a sensor have in common."""
+        """Cache of the latest signals that several models of a sensor have in common."""
         return DrawMemory(_SIGNALS_BYTES)
 
     def _felt_motion(self, log: int, number: int) -> Motion:
-        """Return the motion of a log in a replicate, which remembers what was felt."""
+        """Return the motion of a log in a replicate, with a cache of its stimuli."""
         shared = RememberedMotion(self.experiments[log].motion, self._memory, log)
         motion = self._motion(log, number, shared)
         return motion if motion is shared else RememberedMotion(motion, self._memory, (log, number))
 
     def _motion(self, log: int, number: int, recorded: Motion | None = None) -> Motion:
-        """Return the motion of a log in a replicate, which is `recorded`, or that of the experiment, in a room of its
-        own if nobody recorded the temperature.
+        """Return the motion of a log in a replicate: `recorded`, or by default that of the experiment, with a room
+        temperature drawn for the replicate if the temperature was not recorded.
         """
         experiment = self.experiments[log]
         motion = recorded or experiment.motion
@@ -384,7 +399,7 @@ class Stage:
         demand: Demand,
         remember: Callable[[SimulatedSensor], None],
     ) -> Source:
-        """Return the simulation of a sensor that does not depend on others, which is told what to `remember`."""
+        """Return the simulation of a sensor that does not depend on others; `remember` sets what the sensor caches."""
         experiment = self.experiments[log]
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
@@ -402,11 +417,11 @@ class Stage:
 
     @cached_property
     def _drawn_effects(self) -> Callable[[int], Effects]:
-        """The effects that aren't fitted, by the replicate's number."""
+        """Function that returns the effects that are not fitted, by the number of the replicate, with a cache."""
         return lru_cache(maxsize=_KEPT)(self.base.drawn)
 
     def _effects(self, models: Models, number: int) -> Effects:
-        """Return the effects of every sensor, those of the base model where no other model is given."""
+        """Return the effects of every sensor, those of the base model for sensors without a model."""
         effects = {}
         depends_on_level = any(effect.name in _OF_LEVELS for model in models.values() for effect in model.added)
         for name, base_effects in self._drawn_effects(number).items():
@@ -422,12 +437,12 @@ class Stage:
         return effects
 
     def _at_fitted_level(self, name: str, effects: Sequence[Effect], number: int) -> Bias:
-        """Return the bias with which a sensor's level at rest is the fitted one, whatever `effects` were drawn for it.
+        """Return the bias that makes a sensor's level at rest the fitted one, for the `effects` that were drawn for it.
 
-        Offset, response and slope over temperature can't be told apart in one attitude at one temperature: the level is
-        known to a fraction of a code, the offset only to the tolerances of the others. Most statistics don't depend on
-        it, since a replicate is fitted anew. If a sensor gives the readings of another one, however, these differ by
-        the difference of the two levels, which is known.
+        Offset, response and slope over temperature cannot be separated in one attitude at one temperature: the level is
+        known to a fraction of a code, the offset only to the tolerances of the others. Most statistics do not depend on
+        the offset, since every replicate is fitted again. If a sensor returns the readings of another one, however,
+        they change by the difference between the levels of the two sensors, which is known.
         """
         header = self.base.headers[name]
         force_g = np.array(header.orientation).T @ self._mean_force_box_g
@@ -450,7 +465,9 @@ class Stage:
 
     @cached_property
     def _mean_degc(self) -> Callable[[int], float]:
-        """The mean temperature over the phases at rest of the training part, by the replicate's number."""
+        """Function that returns the mean temperature, in degC, over the phases at rest of the training part, by the
+        number of the replicate, with a cache.
+        """
 
         def mean_degc(number: int) -> float:
             temperatures = [
@@ -486,13 +503,13 @@ class Stage:
         return tuple(not all(map(is_at_rest, share.phases)) for share in self.split.shares)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields without cached results, which are computed again where they are needed."""
+        """Return the fields without cached results, which are computed again when needed."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
 def _common_effects(numbers: Sequence[int], effects: Sequence[Effects]) -> dict[int, dict[str, int]]:
-    """Return, for each number of a replicate and each sensor, how many effects its models begin with alike, in physical
-    order; 0 if there is one model only.
+    """Return, for each replicate number and each sensor, the number of first effects, in physical order, that all its
+    models have in common; 0 if there is only one model.
     """
     by_number: dict[int, dict[str, set[tuple[Effect, ...]]]] = {}
     for number, of_replicate in zip(numbers, effects, strict=True):

@@ -1,9 +1,9 @@
 """Parameters of one sensor from its phases at rest: noise, offset, slope over temperature, response to specific force.
 
-Offset, slope and response are nuisance parameters: a data sheet leaves them to the part. Offset and slope are free. The
-response (scale error and misalignment of an accelerometer, g-sensitivity of a gyroscope) is profiled within the chip's
-tolerance: the part within it is no difference between simulator and recording, the part beyond it stays in the
-residuals.
+Offset, slope and response are nuisance parameters, which differ from part to part. Offset and slope are unbounded. The
+response (scale error and misalignment of an accelerometer, g-sensitivity of a gyroscope) is fitted within the chip's
+tolerance: a response within the tolerance is not a difference between simulator and recording, and the excess over the
+tolerance remains in the residuals.
 """
 
 from __future__ import annotations
@@ -35,45 +35,50 @@ from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 Matrix = tuple[Triple, Triple, Triple]
 
 REFERENCE_DEGC = 25.0
-"""Temperature at which biases are given, as in data sheets."""
+"""Temperature, in degC, at which biases are given, as in data sheets."""
 
 _LEAST_ROWS = 4
-"""Fewest rows of a segment whose variance is used."""
+"""Least number of rows of a segment whose variance is used."""
 
 WHITE = np.zeros(0)
-"""The correlations of noise without a memory."""
+"""Correlations of white noise."""
 
 _LEAST_SHARE = 0.2
-"""Least share of the variance of noise with a memory that shows within a segment, if it is to tell the rest."""
+"""Lower limit of the share of the variance of correlated noise that is measured within a segment, when the total
+variance is computed from it.
+"""
 
 _ADDED, _LARGEST = 0.3, 64.0
-"""Least share of a variance that remains if something was added to it; largest factor by which one is scaled."""
+"""Least ratio of a corrected noise variance to the previous one for which the difference is added; below it the noise
+is scaled. Largest factor by which a variance is scaled.
+"""
 
 _PASSES = 4
-"""Passes of the active set, in which components of the response that reach their tolerance are fixed and the others
-fitted again.
+"""Largest number of passes of the active-set method, in which components of the response that reach their tolerance are
+fixed and the others are fitted again.
 """
 
 NO_RESPONSE = ((0.0, 0.0, 0.0),) * 3
 """The response of a part that follows its nominal axes and scale exactly."""
 
 _DISTINCT = 0.02
-"""Relative difference of two variances from which on their simulations determine a slope."""
+"""Least relative difference between two noise variances for which their simulations determine a slope."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 
 
 @dataclass(frozen=True)
 class FittedParameters:
-    """Parameters of one sensor in its unit along its own axes; all zero for one that never was at rest.
+    """Parameters of one sensor in its unit along its own axes; noise, offset, slope and response are zero if it was
+    never at rest.
 
-    `rms` without that of rounding, `offset` at 25 degC, `slope` per degC. `response`: the reading of each axis (row)
-    for each unit of specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per
-    g for others, within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether
-    temperatures differed enough. `low_pass`: the chip's own low-pass filter (None: white noise), the log of whose
-    cutoff is known to `low_pass_sd`. `clock_error`: relative error of the rate of the chip's data clock, if repeated
-    rows determine it (otherwise nan). `lag_s`: time constant with which the element follows the temperature of the box;
-    offset and slope are over the element's temperature. `delay` of the signal.
+    `rms`: noise without rounding. `offset`: bias at 25 degC. `slope`: change of the bias per degC of the element's
+    temperature. `response`: change of the reading of each axis (row) per unit of specific force along each axis
+    (column), dimensionless for an accelerometer and in the sensor's unit per g for others, within the chip's tolerance;
+    `raw_response`: the same without that bound. `is_slope_known`: whether temperatures differed enough. `low_pass`: the
+    chip's own low-pass filter (None: white noise); `low_pass_sd`: standard deviation of the log of its cutoff.
+    `clock_error`: relative error of the rate of the chip's data clock, nan if the rows do not determine it. `lag_s`:
+    time constant, in s, with which the element follows the temperature of the box. `delay`: delay of the signal.
     """
 
     rms: Triple
@@ -89,7 +94,9 @@ class FittedParameters:
     delay: SignalDelay = NO_DELAY
 
     def effects(self, deviate: float = 0.0) -> tuple[Effect, ...]:
-        """Return the parameters as effects of the simulator; the cutoff differs by so many standard deviations."""
+        """Return the parameters as effects of the simulator; the log of the cutoff is changed by `deviate` standard
+        deviations.
+        """
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if self.low_pass is not None:
             cutoff_hz = self.low_pass.cutoff_hz * math.exp(deviate * self.low_pass_sd)
@@ -105,8 +112,9 @@ class FittedParameters:
         """Return these parameters corrected by the mean difference between the `target` and the fits to their
         simulations (`simulated`).
 
-        The difference of the noise variances is added, unless little or nothing would remain: then the simulation
-        scales the noise, which is scaled back. Offsets are assumed to scale with the noise.
+        The difference of the noise variances is added. If less than `_ADDED` of the variance would remain, the
+        simulation is assumed to scale the noise, and the noise is scaled back; differences of offsets and slopes are
+        then divided by the same scale factor.
         """
         variance, mean = np.square(self.rms), np.mean([np.square(parameters.rms) for parameters in simulated], axis=0)
         gain = np.clip(np.divide(mean, variance, out=np.ones(3), where=variance > 0), 1 / _LARGEST, _LARGEST)
@@ -135,8 +143,8 @@ class FittedParameters:
         before: FittedParameters,
         simulated_before: Sequence[FittedParameters],
     ) -> FittedParameters:
-        """`moved` once more, with the noise by a secant through the simulations of these parameters and of those
-        `before`, whatever the simulation adds to the noise's variance or scales it by.
+        """Return what `moved` returns, but with the noise from a secant through the simulations with these parameters
+        and with those `before`, which is correct whether the simulation adds to the noise variance or scales it.
         """
         variance, last = np.square(self.rms), np.square(before.rms)
         mean, mean_before = (
@@ -153,41 +161,43 @@ class FittedParameters:
         )
 
     def noise(self, header: SensorHeader) -> Floats:
-        """Standard deviation (3,) of readings, rounding included."""
+        """Return the standard deviation (3,) of readings including rounding, in the sensor's unit."""
         return np.asarray(np.sqrt(np.square(self.rms) + rounding_lsb2(header) / header.sensitivity**2))
 
     def predicted(self, summary: Summary, stimulus: SegmentStimulus) -> Floats:
-        """Predicted reading (s, 3) of each segment, in the sensor's unit."""
+        """Return the predicted reading (s, 3) of each segment, in the sensor's unit."""
         return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
     def force_felt(self, summary: Summary) -> Floats:
-        """Return the mean specific force (3,) along an accelerometer's axes by these parameters, in its unit."""
+        """Return the mean specific force (3,) along an accelerometer's axes, in its unit, from its readings corrected
+        by these parameters.
+        """
         return self.by_response(self.unbiased(summary))
 
     def unbiased(self, summary: Summary) -> Floats:
-        """Return the mean (3,) of the readings without offset and slope."""
+        """Return the mean (3,) of the readings less offset and slope, in the sensor's unit."""
         part = summary.segments
         has_rows = part.rows > 0
         levels = part.mean[has_rows] / summary.header.sensitivity - self._biases(summary)[has_rows]
         return np.asarray(np.average(levels, axis=0, weights=part.rows[has_rows]))
 
     def by_response(self, readings: Floats) -> Floats:
-        """Specific force (3,) for which an accelerometer without bias has these readings."""
+        """Return the specific force (3,) that gives these readings (3,) of an accelerometer without bias."""
         return np.asarray(np.linalg.solve(np.eye(3) + np.array(self.response), readings))
 
     def _biases(self, summary: Summary) -> Floats:
-        """Return the bias (s, 3) of each segment by offset and slope, in the sensor's unit."""
+        """Return the bias (s, 3) of each segment from offset and slope, in the sensor's unit."""
         warm = (summary.segments.temperature_degc - REFERENCE_DEGC)[:, None]
         return np.asarray(np.array(self.offset) + warm * np.array(self.slope))
 
 
 @dataclass(frozen=True)
 class Rest:
-    """One phase at rest: its `segments`, and of those that have rows the readings less the stimulus, `deviation` (s, 3)
-    in the sensor's unit, and their variances in counts.
+    """One phase at rest: its `segments`, and for those with rows `deviation` (s, 3), the mean reading less the stimulus
+    in the sensor's unit, and `variance` (s, 3) in squared counts.
 
-    `force` (3,) is the mean specific force along the axes, as in `SegmentStimulus`. Phases of one `face` are averaged;
-    phases of one `group` are of one log and one attitude: only temperature changes their levels.
+    `force` (3,) is the mean specific force along the axes, as in `SegmentStimulus`. Phases on one `face` are averaged.
+    Phases of one `group` are in the same log and attitude, so that only temperature changes their levels.
     """
 
     face: str
@@ -199,7 +209,7 @@ class Rest:
 
     @property
     def rows(self) -> Integers:
-        """Rows (s,) of the segments that have any."""
+        """Number of rows (s,) of the segments with rows."""
         return self.segments.rows[self.segments.rows > 0]
 
     @property
@@ -209,8 +219,8 @@ class Rest:
 
 
 class SegmentStimulus(NamedTuple):
-    """Stimulus (s, 3) along a sensor's nominal axes in each segment: the measured quantity (`felt`) in its unit, and
-    the specific `force`, in the unit of an accelerometer, in g for others.
+    """Stimulus (s, 3) along a sensor's nominal axes in each segment: the measured quantity (`felt`) in the sensor's
+    unit, and the specific `force`, in the sensor's unit for an accelerometer and in g for others.
     """
 
     felt: Floats
@@ -218,10 +228,10 @@ class SegmentStimulus(NamedTuple):
 
 
 def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> SegmentStimulus:
-    """Return the stimulus along the nominal axes at the segments' mean times; the force is `force_box` (3,) in m/s^2,
-    if given.
+    """Return the stimulus along the nominal axes at the segments' mean times; with the force `force_box` (3,) in m/s^2
+    instead of that of the motion, if given.
     """
-    cache: dict[str, tuple[Motion, SegmentStimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
+    cache: dict[str, tuple[Motion, SegmentStimulus]] = vars(summary)  # used by the fit, and again by its residual
     if "felt" not in cache or cache["felt"][0] is not motion:
         cache["felt"] = (motion, _stimulus(summary, motion))
     known = cache["felt"][1]
@@ -246,15 +256,16 @@ def _stimulus(summary: Summary, motion: Motion) -> SegmentStimulus:
 
 
 def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
-    unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
+    unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # fields are in gauss
     return np.asarray(vectors_box @ np.array(header.orientation) * unit * header.adjustment)
 
 
 def fit_sensor(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
     """Fit the parameters of one sensor to its phases; all zero without phases.
 
-    Noise is the median of the segments' variances; the slope that of the readings less the stimulus over temperature;
-    offset and response explain the rest, faces weighted equally. `tolerance` (3, 3) bounds the response.
+    The noise is the median of the segments' variances; the slope is that of the readings less the stimulus over
+    temperature; offset and response are fitted to the remaining levels, with equal weights of the faces. `tolerance`
+    (3, 3) bounds the response.
     """
     if not phases:
         return FittedParameters(*((0.0, 0.0, 0.0),) * 3)
@@ -281,12 +292,12 @@ def fit_sensor(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) 
 
 
 def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats) -> tuple[Floats, Floats]:
-    """Response (3, 3) to specific force without bounds, and within `tolerance` (3, 3), from levels (f, 3) on f faces
-    whose forces are (f, 3).
+    """Return the response (3, 3) to specific force without bounds, and within `tolerance` (3, 3), from levels (f, 3) on
+    f faces with the forces (f, 3).
 
-    Least squares about the faces' mean with a normal prior of the tolerance, by the `noise` (3,) of single readings:
-    the response is 0 in directions in which no two faces differ. A component that reaches its tolerance is fixed there
-    while the others are fitted again (an active set).
+    Least squares about the mean over faces, with the `noise` (3,) of single readings as the error of a level and a
+    normal prior whose standard deviation is the tolerance: the response is 0 in directions along which the faces do not
+    differ. Components that exceed their tolerance are fixed to it and the others are fitted again (active set).
     """
     nothing = np.zeros((3, 3))
     if len(levels) < 2 or not tolerance.any():
@@ -314,18 +325,20 @@ def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats
 
 
 def rms_of(header: SensorHeader, phases: Sequence[Rest], correlations: Floats) -> Triple:
-    """RMS of the noise in the sensor's unit, without rounding, whose `correlations` (k,) at lags of 1 ... k rows are
-    known.
+    """Return the rms of the noise in the sensor's unit, without rounding, for noise with the `correlations` (k,) at
+    lags of 1 ... k rows.
     """
     return _triple(_rms_lsb(header, phases, correlations) / header.sensitivity)
 
 
 def _rms_lsb(header: SensorHeader, phases: Sequence[Rest], correlations: Floats = WHITE) -> Floats:
-    """Root of the median over segments of the variance, less step^2 / 12 of rounding (Sheppard's correction).
+    """Return the rms (3,) of the noise in counts: the root of the median over segments of the variance, less step^2 /
+    12 for rounding (Sheppard's correction).
 
-    The median of a variance of nu degrees of freedom is (1 - 2 / (9 nu))^3 of its mean (Wilson and Hilferty, PNAS 17,
-    1931); it is not affected by a few glitches or jumps. About their own mean, n rows that correlate by r_k at lag k
-    have the variance 1 - (1 + 2 sum (1 - k / n) r_k) / n, of (n - 1) / (1 + 2 sum r_k^2) degrees of freedom (Bartlett).
+    The median of a variance with nu degrees of freedom is (1 - 2 / (9 nu))^3 times its mean (Wilson and Hilferty, PNAS
+    17, 1931); it is not affected by a few glitches or jumps. The variance of n rows with correlations r_k at lag k
+    about their own mean is 1 - (1 + 2 sum (1 - k / n) r_k) / n times the total variance, with (n - 1) / (1 + 2 sum
+    r_k^2) degrees of freedom (Bartlett).
     """
     rows = np.concatenate([phase.rows for phase in phases])
     variance = np.concatenate([phase.variance for phase in phases])
@@ -341,7 +354,9 @@ def _rms_lsb(header: SensorHeader, phases: Sequence[Rest], correlations: Floats 
 
 
 def slope_of(phases: Sequence[Rest]) -> Triple | None:
-    """Slope of the bias per degC; None if the temperatures of no attitude in a log differ enough."""
+    """Return the slope of the bias per degC, in the sensor's unit; None if the temperatures do not differ by
+    `LEAST_HEATING_DEGC` in any attitude of a log.
+    """
     products, squares = np.zeros(3), 0.0
     for group in dict.fromkeys(phase.group for phase in phases):
         members = [phase for phase in phases if phase.group == group]
@@ -356,7 +371,7 @@ def slope_of(phases: Sequence[Rest]) -> Triple | None:
 
 
 def rounding_lsb2(header: SensorHeader) -> float:
-    """Return the variance of rounding to the codes that occur, step^2 / 12."""
+    """Return the variance of rounding to the codes that occur, step^2 / 12, in squared counts."""
     return code_span(header).step ** 2 / 12
 
 

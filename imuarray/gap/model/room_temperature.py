@@ -31,6 +31,7 @@ and the cycle of a heating.
 """
 
 WAVES = 4
+"""Number of waves in the variation of temperature."""
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ start with them.
 
 _STARTING = Lock()
 _LOOK_S = 2.0
+"""Interval, in s, at which a process checks that its parent is running."""
 
 _LATEST: dict[str, Callable[[Any], Any]] = {}
 """The latest job that this process received, by its name."""

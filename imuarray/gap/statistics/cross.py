@@ -43,9 +43,17 @@ of them is wrong without a track.
 """
 
 SEGMENTS = 64
+"""Largest number of segments of a phase."""
+
 _SEGMENT_WINDOWS = 8
+"""Least number of windows in a segment."""
+
 _WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Usual lengths of windows, in s."""
+
 _WINDOW_ROWS = 2.0
+"""Least mean number of rows of the slowest sensor in a window."""
+
 _PRODUCTS = np.triu_indices(3)
 
 

@@ -1,9 +1,9 @@
 """Stimuli of the box itself at rest, for example a tilting table or a vibration, separated from sensor errors.
 
 Sensors of different chip types have only the box in common, and those of one chip type at most an error of their design
-along their own axes. For each axis of the box, sensors of the same chip type are grouped whose same own axis points in
-the same direction. Group means rotated into the box's axes then have independent errors, or opposed ones if an error of
-one design is mounted in both directions; a signal that all groups share is a stimulus.
+along their own axes. For each axis of the box, a group consists of the sensors of one chip type that have the same own
+axis along it, in the same direction. Group means rotated into the box's axes then have independent errors, or opposed
+ones if an error of one design is mounted in both directions; a signal that all groups share is a stimulus.
 
 Slow and fast signals are tested separately. Slow means are decomposed into cosine waves over the phase, and the waves
 above the noise are kept. The amplitudes of the groups in one wave are a vector. Without a stimulus it has a random

@@ -30,7 +30,10 @@ APART = 16
 """Least distance, in rows, between two stale rows that count as two slips of the polls against the data clock."""
 
 _QUARTILE = 0.75
+"""Quantile of the first intervals with which gaps are compared."""
+
 _TYPICAL = 1024
+"""Number of first intervals from which this quantile is computed."""
 
 _SHORTEST, _LONGEST, _BINS = 0.75, 1.25, 2048
 """Range of the histogram of intervals, in periods of the sensor's data, and its number of bins; two more bins contain

@@ -15,7 +15,11 @@ HALF_WIDTH = 2
 """Number of bins on each side over which a Hann window spreads a line."""
 
 _FIRST = 2
+"""First bin in which lines are detected."""
+
 _BESIDE = 33
+"""Width, in bins, of the median that is the floor of the spectrum."""
+
 _HIGH = 4.0
 """Least height of a line over the median of its neighbours, in standard deviations of the cube root of the density,
 which is nearly normal (Wilson and Hilferty, PNAS 17, 1931).

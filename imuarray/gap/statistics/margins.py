@@ -24,6 +24,8 @@ from imuarray.gap.statistics.summary import Grid
 from imuarray.log.format import SensorHeader
 
 COASTING_S = 60.0
+"""Time of coasting, in s, over which errors are integrated."""
+
 SHARE = 0.05
 """Relative change of a figure of use that matters."""
 

@@ -15,8 +15,13 @@ ABSENT = -1
 """Place of a statistic that is missing in one part."""
 
 LEAST = 0.5**0.5
+"""Least standard deviation of a sum of scores: its value if the fit makes the score of one part zero."""
+
 _WILD = 5.0
+"""Limit of the sums of scores from which a standard deviation is computed."""
+
 _FOLDS = 20
+"""Number of folds of campaigns, each of which is scored against the others."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,11 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 
 PARTS = 16
-"""Points of a run's profile."""
+"""Number of points of a run's profile."""
 
 _LEAST_SPREAD = 0.2
+"""Least spread of runs, as a share of the rms standard error of their means."""
+
 _LEAST_GROUP = 2
 """Least number of runs in a group: a single run is an outlier, not a state."""
 

@@ -12,6 +12,7 @@ from imuarray.arrays import Floats, Indices, Integers, Times
 from imuarray.gap.recording.recordings import Temperature
 
 POWERS = 4
+"""Highest power of the readings that is summed."""
 
 
 @dataclass(frozen=True)
@@ -127,5 +128,5 @@ class SegmentTally:
 
 
 def split_replicates(columns: Floats, replicates: int) -> Floats:
-    """Splits joint columns (n, 3 r) into those of each replicate (r, n, 3)."""
+    """Split joint columns (n, 3 r) into those of each replicate (r, n, 3)."""
     return np.ascontiguousarray(columns.reshape(len(columns), replicates, 3).swapaxes(0, 1))

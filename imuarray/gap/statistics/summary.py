@@ -29,14 +29,20 @@ from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
 
 LAGS = 5
+"""Number of lags, in rows, of the correlation of the readings."""
+
 ARCH_LAGS = 3
+"""Number of lags, in rows, of the correlation of squared differences between neighbours."""
+
 OCTAVES = 14
-"""Averaging factors up to 8192 rows."""
+"""Number of octaves of the Allan variance: averaging factors 1 to 8192 rows."""
 
 SPIKES = 8
 """Number of spikes that are kept for each axis."""
 
 _SEGMENTS = 64
+"""Largest number of parts of a phase."""
+
 _SEGMENT_ROWS = 16
 """Least number of rows in a part of a phase; a short phase has fewer parts."""
 

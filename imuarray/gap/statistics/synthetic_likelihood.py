@@ -165,5 +165,10 @@ def _median(values: Floats) -> Floats:
 
 
 _ROUNDING = 1e-9
+"""Least scale of a statistic, relative to 1 plus the size of its location."""
+
 _SAME = 1e-7
+"""Scale, relative to 1 plus the size of the location, below which a statistic counts as equal in all replicates."""
+
 _CLIPPED = 8.0
+"""Limit of the scores from which correlations are computed."""

@@ -26,6 +26,7 @@ TAIL = 3.0
 
 
 _HALF_COUNT = 0.5
+"""Counts that are added to the sizes of spikes, so that their logs are finite."""
 
 
 def skewness(summary: Summary) -> Floats:

@@ -199,8 +199,13 @@ def noise_lsb(summary: Summary) -> Floats:
 
 
 _RARE, _COMMON = -30.0, 3.5
+"""Limits of the log of the expected number of larger values, for numerical stability."""
+
 _KEPT = 0.95
+"""Share of the smallest differences from which the noise is estimated."""
+
 _TRIMMED = 0.71683
+"""Mean of the smallest 95 % of absolute Gaussian numbers, in standard deviations."""
 
 
 def _trimmed_mean(sizes: Integers, counts: Integers) -> float:

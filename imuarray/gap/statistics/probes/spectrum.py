@@ -18,8 +18,13 @@ BANDS = 6
 """Number of bands, from bin 2 of the spectrum to half the rate, with equal widths in the log of frequency."""
 
 _FIRST = 4
+"""First bin of the spectrum in which a line is detected."""
+
 _NEIGHBOURHOOD = 33
+"""Width, in bins, of the median that is the floor of the spectrum."""
+
 _SIDE = _NEIGHBOURHOOD // 2
+
 _IN_PAIRS = 0.25
 """Share of rows equal to the previous row, above which the readings of a chip are assumed to come in pairs."""
 
