@@ -22,21 +22,21 @@ UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 
 
 CACHED_BYTES = 1 << 26
-"""Most bytes of a log's rows that stay in memory: one hour of nine triads at 100 Hz has 57 MB."""
+"""Largest number of bytes of a log's rows that stay in memory: an hour of nine triads at 100 Hz has 57 MB."""
 
 RECENT_BYTES = 1 << 24
-"""Most bytes of a longer log, which can't be kept from one pass to the next: a block of each column of twelve
-sensors.
+"""Largest number of bytes in memory of a longer log, whose rows can't be kept from one pass to the next: a block of
+each column of twelve sensors.
 """
 
 TRACK_BYTES = 1 << 23
-"""Most bytes of the tracks, which few analyses read more than once: two blocks of each column."""
+"""Largest number of bytes of the tracks, which few analyses read more than once: two blocks of each column."""
 
 _BLOCK_ROWS = 1 << 16
-"""Rows of a column that are read and kept together: sixteen chunks."""
+"""Number of rows of a column that are read and kept together: sixteen chunks."""
 
 _FEW_ROWS = 1 << 10
-"""Fewer rows are read alone, which is faster than reading their block."""
+"""Number of rows below which rows are read alone, which is faster than reading their block."""
 
 
 class RowCache:
@@ -310,7 +310,7 @@ def clocks_of(group: Any, place: str) -> ClockTrack:
 
 
 def _columns_named(columns: Sequence[Any], place: str, cache: RowCache | None = None) -> Iterator[Any]:
-    """Return the columns that exist, and None for the others."""
+    """Yield the columns that exist, and None for the others."""
     return (
         None if column is None else named_column(column, f"{place}: {column.name.rsplit('/', 1)[-1]}", cache)
         for column in columns

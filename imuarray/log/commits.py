@@ -31,17 +31,19 @@ COMMITS = "commits"
 _FIXED = 3
 _LONGEST_COMMIT = 1 << 30
 _TRIES, _PAUSE_S = 3, 0.01
-"""How often rows are read of a file whose writer may just be changing the page that says where they are."""
+"""Number of attempts to read rows, and the pause between them in s: the writer may be changing the page of the file
+that holds their position.
+"""
 _KEPT_REPLACEMENTS = 4
-"""Commits whose rows from the journal stay in memory."""
+"""Number of commits whose rows from the journal stay in memory."""
 
 
 class Commit(NamedTuple):
     """A state of the file: it contains everything in the journal before `mark`, as the first `rows` rows of its
     groups.
 
-    `crc` is that of the rows that this commit added; None if the previous commit can't be read, since it is then
-    unknown which rows these are.
+    `crc` is that of the rows that this commit added; None if the previous commit can't be read, because the range of
+    these rows is then unknown.
     """
 
     mark: Mark

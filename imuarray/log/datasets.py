@@ -46,7 +46,7 @@ _LONG_NAME: Mapping[str, str] = MappingProxyType(
 )
 
 _Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
-"""Dimensions, values and attributes, as xarray takes them."""
+"""Dimensions, values and attributes, in the form that xarray accepts."""
 
 
 def sensor_dataset(sensor: SensorLog, epoch: str, calibration: Calibration | None = None) -> Any:

@@ -1,8 +1,8 @@
 """Disk space, allocated before it is needed because HDF5 does not survive a write that fails.
 
-A write that runs into a full disk leaves HDF5 with a file that it can't close and a process that ends in a segmentation
-fault. The space for what HDF5 will write is therefore allocated first (`Allowance`), a log ends while some space
-remains (`WATERMARK`), and a reserve file is released for the last steps if the disk fills up nevertheless.
+A write to a full disk leaves HDF5 with a file that it can't close, and ends the process in a segmentation fault. The
+space for what HDF5 will write is therefore allocated first (`Allowance`), a log ends while some space remains
+(`WATERMARK`), and a reserve file is released for the last steps if the disk becomes full nevertheless.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NO_SPACE: Mapping[int, str] = {
 }
 
 WATERMARK = 64 << 20
-"""A log that is being recorded ends when less than this many bytes are free."""
+"""Free bytes below which a log that is being recorded ends."""
 
 RESERVE = 1 << 20
 """Bytes of the reserve file."""

@@ -32,11 +32,12 @@ PLOTS = "plots"
 """The group of a finished log that NeXus viewers open by default."""
 
 CACHE_BYTES = 1 << 20
-"""The chunk cache of each column that is written; the default of HDF5 2.0, 8 MB, is 400 MB for fifty columns."""
+"""Bytes of the chunk cache of each column that is written; the default of HDF5 2.0, 8 MB, is 400 MB for fifty columns.
+"""
 
 READ_CACHE_BYTES = 1 << 18
-"""The chunk cache of each column that is read: at least two chunks of any column. Rows are read in their order, and a
-larger cache is filled without being used.
+"""Bytes of the chunk cache of each column that is read: at least two chunks of any column. Rows are read in order, so a
+larger cache would be filled without being used.
 """
 
 STALE = 1
@@ -62,7 +63,7 @@ FLAGS: Mapping[str, int] = {
 }
 
 MOST_SENSORS = 512
-"""Most sensors of a log: an array of a hundred six-axis chips has two hundred."""
+"""Largest number of sensors of a log: an array of a hundred six-axis chips has two hundred."""
 
 THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
 """Attributes of a sensor whose log states the scale of its `temperature_counts`; both or none."""
@@ -89,7 +90,7 @@ SYNC_PULSE_ERROR = "sync_pulse_error"
 """Attribute of such a sensor: the largest error of that time in s."""
 
 SINGLE_PRECISION = (TIME_UNCERTAINTY, SYNC_PULSE)
-"""The columns in physical units that a log holds in 32 bits."""
+"""Columns in physical units that a log stores in 32 bits."""
 
 SOURCES = ("i2c", "spi", "iio", "serial", "emulated", "simulated", "imported", "replay")
 
@@ -108,10 +109,10 @@ RESOLUTION = "resolution"
 """Attribute of a sensor of an imported log whose counts are not the codes of a chip: `ASSUMED` or `DIGITS`."""
 
 ASSUMED = "assumed"
-"""Values on no grid of codes, which were rounded to counts as fine as 16 bits, or their noise, allow."""
+"""Values without a grid of codes, rounded to counts that are as fine as 16 bits or the noise of the values allow."""
 
 DIGITS = "digits"
-"""Values that a program rounded to decimal digits, whose step is one count."""
+"""Values that a program rounded to decimal digits; one count is one step of the last digit."""
 
 
 class ThermometerScale(NamedTuple):

@@ -75,7 +75,7 @@ _EMPTY_BYTES = 1 << 14
 """Upper estimate of the space that HDF5 needs for a group and its columns."""
 
 _REVISED_CHUNKS = 16
-"""Chunks of a column that are revised together: half a megabyte."""
+"""Number of chunks of a column that are revised together: half a megabyte."""
 
 _TEXT_BYTES = 64
 _SETTLED_BYTES = 1 << 24

@@ -28,7 +28,7 @@ MANY_MISSED = 0.05
 """Share of missed frames above which a recording does not meet its frame rate."""
 
 SHORT_ROOM_S, NO_ROOM_S = 3600.0, 600.0
-"""Seconds until the disk is full below which there is a warning, or a red light."""
+"""Seconds until the disk is full below which the health is amber, and below which it is red."""
 
 _KINDS: Mapping[str, str] = {
     "checksum": "packets with a wrong checksum",
@@ -39,7 +39,7 @@ _KINDS: Mapping[str, str] = {
 """Descriptions of kinds of events whose name does not explain them."""
 
 _NAMED = 3
-"""Most reasons, and most sensors of a reason, that are named."""
+"""Largest number of reasons, and of sensors of a reason, that are named."""
 
 
 def is_trouble(event: Event) -> bool:

@@ -44,7 +44,9 @@ _SIGN = b"GCOL"
 _HEAD = 16
 """Bytes before the first object of a heap, and before the data of an object (HDF5 file format, III.E)."""
 LONGEST = 1 << 24
-"""Longest heap; it holds as many texts as fit into 4 KiB, or one that is longer: a configuration is the longest."""
+"""Largest size of a heap in bytes. A heap holds the texts that fit into 4 KiB, or one longer text; the longest one is a
+configuration.
+"""
 
 
 class HeapCheckedFile(io.RawIOBase):
@@ -116,7 +118,7 @@ def _adds_up(fd: int, position: int) -> bool:
     while length - place >= _HEAD:
         number = int.from_bytes(heap[place : place + 2], "little")
         size = int.from_bytes(heap[place + 8 : place + _HEAD], "little")
-        if number == 0 and size < _HEAD:  # what is free counts its own head
+        if number == 0 and size < _HEAD:  # the size of free space includes its head
             return False
         place += size if number == 0 else _HEAD + -(-size // 8) * 8
     return place <= length
@@ -191,17 +193,17 @@ def _checksum(data: bytes) -> bytes:
 
 MAX_DEPTH = 4
 MAX_OBJECTS = 4096
-"""Most groups and datasets of a file: `MOST_SENSORS` with six each, their plots, and the tables."""
+"""Largest number of groups and datasets of a file: `MOST_SENSORS` with six each, their plots, and the tables."""
 MAX_ATTRIBUTES = 256
 MAX_ATTRIBUTE_BYTES = 1 << 22
-"""Size of all attributes of a group or dataset together."""
+"""Largest size in bytes of all attributes of a group or dataset together."""
 MAX_TEXTS = 256
-"""Most texts in one attribute: each may be as long as the file, because several can refer to the same bytes."""
+"""Largest number of texts in one attribute: several can refer to the same bytes, so each may be as long as the file."""
 MAX_NAME_BYTES = 255
 MAX_ITEM_BYTES = 1 << 16
 MAX_RANK = 4
 MAX_CHUNK_BYTES = 1 << 20
-"""HDF5 reads whole chunks; those of a log have less than a tenth of this."""
+"""Largest size of a chunk in bytes, because HDF5 reads whole chunks; chunks of a log have less than a tenth of this."""
 SLACK_BYTES = 1 << 24
 """Bytes of rows that an interrupted log may have declared but not yet written."""
 MOST_DEFLATED = 1032

@@ -48,7 +48,7 @@ MAGIC_1 = b"imuarray journal 1\n"
 LONGEST_PREAMBLE = 1 << 24
 
 _TRIES, _PAUSE_S = 20, 0.005
-"""Most attempts to lock a journal while readers hold it for a moment, and the pause between them."""
+"""Number of attempts to lock a journal that readers hold for a moment, and the pause between them in s."""
 
 
 Columns = Mapping[str, npt.NDArray[Any]]
@@ -192,8 +192,8 @@ def is_running(path: Path) -> bool:
 
 
 def _locked_alone(fd: int) -> bool:
-    """Lock an open file exclusively. `is_running` holds a shared lock for a moment, which is waited for. Return False
-    if another process holds an exclusive lock, or a shared lock for longer.
+    """Lock an open file exclusively. `is_running` holds a shared lock for a moment; wait until it is released. Return
+    False if another process holds an exclusive lock, or a shared lock for longer.
     """
     for _ in range(_TRIES):
         if _locked(fd, exclusive=True):
@@ -410,7 +410,7 @@ class JournalReader:
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:
             return None
-        if salvage.is_good(end):  # its writing ended only now
+        if salvage.is_good(end):  # the writer has completed it only now
             return end, None
         resumed = salvage.resume(end)
         if resumed is not None:

@@ -27,9 +27,9 @@ from imuarray.units import INERTIAL
 _SAME_CLOCK = frozenset({"i2c", "spi", "emulated", "replay"})
 """Sources whose times are those of the clock by which the logger begins frames, on which periods are exact."""
 _EARLY = 0.25
-"""Share of a period by which a row may be too early for its frame, because the first row may have taken longer."""
+"""Share of a period by which a row may be too early for its frame: reading the first row may have taken longer."""
 _OWN_PACE = 1.25
-"""A sensor with more rows per frame than this has a queue, which it fills at its own rate."""
+"""Rows per frame above which a sensor has a queue, which it fills at its own rate."""
 
 MISSED = re.compile(r"(in all )?(\d+) frames? missed")
 """The message of an event of the kind "late": the frames missed when a delay began, or in the whole delay."""

@@ -250,8 +250,8 @@ class Log:
 
     @property
     def motion_track(self) -> Track | None:
-        """The track by which the motion of the box is known: the truth, else the reference; None unless it has a force
-        or a rate, as a reference of the temperature alone.
+        """The track that describes the motion of the box: the truth, else the reference; None if it has neither a force
+        nor a rate, for example a reference of the temperature alone.
         """
         tracks = (track for track in (self.truth, self.reference) if track is not None)
         moving = (track for track in tracks if (track.specific_force, track.angular_rate) != (None, None))
@@ -487,12 +487,12 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
 
 
 def _within(log: Log, error: LogError) -> str:
-    """Return the text of an error without the path of the log, which stands before every problem."""
+    """Return the text of an error without the path of the log, which precedes every problem."""
     return str(error).removeprefix(f"{log.path}: ")
 
 
 def _dates(log: Log) -> Iterator[str]:
-    """Yield a problem for an epoch that is not a date, and for each phase that contains no time or has no such side."""
+    """Yield a problem for an epoch that is not a date, and for each phase that is empty or names no box axis."""
     try:
         datetime.fromisoformat(log.epoch)
     except ValueError:

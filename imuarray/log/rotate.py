@@ -28,7 +28,7 @@ from imuarray.log.journal import Notes, OpenPhase, journal_of
 from imuarray.log.writer import KEPT, Block, LogWriter, Stimulus, WriterSettings
 
 _LEAD_NS = 5_000_000_000
-"""Most time before its start at which a part is created; rows arrive one or two seconds after their time."""
+"""Largest time in ns by which a part is created before its start; rows arrive one or two seconds after their time."""
 
 
 def part_of(path: Path, number: int) -> Path:
@@ -189,7 +189,7 @@ class RotatingWriter:
             part.begins(phase._replace(start_ns=max(phase.start_ns, start_ns)))
 
     def _turn(self) -> None:
-        """Finish the first part if every sensor has moved on to the next, or a third one has begun (a sensor was
+        """Finish the first part if every sensor has rows in the next one, or if a third part has begun (a sensor was
         silent).
         """
         while len(self._open) > 1 and (

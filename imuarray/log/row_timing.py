@@ -1,10 +1,9 @@
 """Timing of the rows of a recorded sensor: steady, with stalls, or in bursts.
 
-A recorder that stalls reads nothing for a while and goes on at the usual pace. A host that is late reads in a burst
-what a chip has buffered, or stamps what a driver has buffered: then the times are those of arrival and not of the
-readings. The rows after a gap distinguish the two: a burst is as long as the gap before it requires, the rows after a
-stall are not. Rows that are flagged as lost never arrive, in a burst or otherwise.
-"""
+A recorder that stalls reads nothing for a while and continues at the usual rate. A host that is late reads in a burst
+what a chip has buffered, or gives time stamps to what a driver has buffered: the times are then those of arrival and
+not of the readings. The rows after a gap distinguish the two: the length of a burst corresponds to the gap before it,
+the number of rows after a stall does not. Rows that are flagged as lost never arrive, in a burst or otherwise."""
 
 from __future__ import annotations
 
@@ -22,48 +21,49 @@ from imuarray.log.format import LOST_BEFORE
 Kind = Literal["steady", "stalls", "bursts"]
 
 GAP = 3.0
-"""Interval, in usual intervals (the median), from which on it is a gap; one lost row or one late poll is none."""
+"""Least length of a gap, in usual intervals (the median): an interval with one lost row or one late poll is shorter."""
 
 LEAST_SHARE = 0.05
-"""Least share of the time that gaps take; with less, late rows are the ordinary jitter of a host."""
+"""Least share of the time in gaps for a timing that is not steady; with less, late rows are the usual jitter of a host.
+"""
 
 LEAST_GAPS = 8
-"""Fewest gaps that can show a pattern."""
+"""Least number of gaps that can show a pattern."""
 
 FOLLOWS = 0.5
-"""Correlation between the length of a gap and the number of rows after it from which on these are a burst. Without a
-connection `LEAST_GAPS` gaps exceed it in one of five logs, a hundred gaps never.
+"""Least correlation between the length of a gap and the number of rows after it for bursts. If they are independent,
+`LEAST_GAPS` gaps exceed it in one of five logs, a hundred gaps never.
 """
 
 REGULAR = 0.05
-"""Scatter of gap lengths, as a share of their median, below which nothing can follow their length: then rows are a
-burst only if they come `HURRY` times as fast as on average.
+"""Scatter of gap lengths, as a share of their median, below which this correlation has no meaning: rows are then a
+burst only if they arrive `HURRY` times as fast as on average.
 """
 
 HURRY = 10.0
 
 LEAST_HURRY = 1.5
-"""Rows of bursts come at least so many times as fast as on average, or after a gap as usual; others do not make up for
-anything.
+"""Least rate of the rows of bursts, relative to the average rate, or after a gap to the usual rate; slower rows do not
+make up for a gap.
 """
 
 LOST_SHARE = 0.5
-"""Share of gaps in which rows are flagged as lost from which on no burst makes up for them."""
+"""Share of gaps with rows flagged as lost above which rows after gaps are not a burst."""
 
 SAME = 0.8
-"""Least share of the gaps that follow after the same number of rows for stalls to have a period."""
+"""Least share of gaps with the same number of rows between them for stalls to have a period."""
 
 _STAMPED_TOGETHER = 100.0
-"""Rows that come so many times as fast as on average are stamped at once: then a gap is longer than the mean interval,
-and `GAP` times the usual one is the time of a stamp.
+"""Usual rate of rows, relative to the average rate, from which on rows are stamped together: a gap is then an interval
+longer than the average, because `GAP` times the usual interval is only the time for a stamp.
 """
 
 _STRETCHES, _STRETCH_ROWS = 16, 4096
-"""Stretches of a long recording, and rows of each, from which the usual interval is known."""
+"""Number of stretches of a long recording, and rows of each, from which the usual interval is determined."""
 
 _KNOT_ROWS = 2048
-"""Rows between the knots of mean arrival times: a host is late by some hundredths of a second, the mean of so many rows
-by less than a thousandth, and oscillators drift more slowly.
+"""Number of rows between the knots of mean arrival times: a host is late by some hundredths of a second, the mean of
+this number of rows by less than a thousandth, and the drift of oscillators is slower.
 """
 
 
@@ -143,8 +143,8 @@ def row_timing(sensor: SensorLog) -> RowTiming:
 
 
 def _intervals_ns(sensor: SensorLog) -> Integers:
-    """Intervals (k,) between rows: all of a short recording, those of stretches throughout a long one, whose beginning
-    may have another rate than the rest.
+    """Return the intervals (k,) between rows: all of a short recording; of a long one those of stretches throughout it,
+    because its beginning may have another rate than the rest.
     """
     rows = len(sensor)
     if rows <= _STRETCHES * _STRETCH_ROWS:
@@ -159,8 +159,9 @@ def _intervals_of(sensor: SensorLog, first: int, stop: int) -> Integers:
 
 
 def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, Booleans]:
-    """Return the row before each gap (k,), its length (k,), and the second interval after it (k,), in s: the first one
-    may only bring the rows back to the grid of the frames. And whether rows in it are flagged as lost (k,).
+    """Return the row before each gap (k,), its length (k,) in s, the second interval after it (k,) in s, and whether
+    rows in it are flagged as lost (k,). The first interval after a gap may only bring the rows back to the grid of the
+    frames.
     """
     gap_rows, length_s, next_s, is_lost = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0, bool)]
     for block in sensor.blocks():
@@ -177,7 +178,7 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, 
 
 
 def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:
-    """Return whether the rows after gaps (k,) make up for the gaps; `hurry` is their usual rate over the mean one."""
+    """Return whether the rows after gaps (k,) make up for the gaps; `hurry` is the usual rate over the average rate."""
     if np.std(length_s) < REGULAR * np.median(length_s) or not rows_after.std() > 0:
         return hurry > HURRY
     return bool(np.corrcoef(length_s, rows_after)[0, 1] > FOLLOWS)
@@ -218,7 +219,7 @@ class EvenRows:
 
 
 def even_rows(sensor: SensorLog) -> EvenRows:
-    """Evenly spaced times for a sensor whose rows arrive in bursts; reads its times once."""
+    """Return evenly spaced times for a sensor whose rows arrive in bursts; reads its times once."""
     rows = len(sensor)
     stretches = max(2, rows // _KNOT_ROWS)
     edges = np.arange(stretches + 1) * rows // stretches
@@ -231,7 +232,7 @@ def even_rows(sensor: SensorLog) -> EvenRows:
 
 
 def notes_of(timings: Iterable[tuple[str, RowTiming]]) -> list[str]:
-    """One sentence for all sensors that share the same unsteady timing."""
+    """Return one sentence for all sensors with the same timing that is not steady."""
     sensors: dict[str, list[str]] = {}
     for name, timing in timings:
         if timing.sentence:

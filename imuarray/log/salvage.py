@@ -30,19 +30,19 @@ OVERHEAD = HEAD.size + CRC.size
 LONGEST_BLOCK = 1 << 28
 
 SEARCH_BYTES = 1 << 26
-"""The number of bytes after damage in which one reader searches for good blocks, in all."""
+"""Number of bytes after damage in which one reader searches for good blocks, in total."""
 
 CHECK_BYTES = 1 << 26
-"""Bytes that one reader checks as possible blocks, in all."""
+"""Number of bytes that one reader checks as possible blocks, in total."""
 
 _LEAST_CHECK = 4096
-"""The least cost of a check; with `CHECK_BYTES` it bounds the number of checks."""
+"""Least number of bytes that a check costs; with `CHECK_BYTES` it limits the number of checks."""
 
 _WINDOWS = (1 << 12, 1 << 16, 1 << 20)
 """Bytes that are searched at a time: most damage is short."""
 
 _LONGEST_GAP = 1 << 20
-"""Bytes of damage that may be one block with a wrong head."""
+"""Largest number of damaged bytes that may be one block with a wrong head."""
 
 _SECTOR = 512
 _PAGE = 4096
@@ -65,8 +65,8 @@ class Record(NamedTuple):
 
 
 class Salvage:
-    """Searches one journal (an open file descriptor). `row_bytes` are those of the groups, `tags` those of the blocks
-    of this log; the first is the tag of its identity.
+    """Searches one journal (an open file descriptor). `row_bytes` are the sizes of the rows of the groups, `tags` the
+    tags of the blocks of this log; the first is the tag of its identity.
     """
 
     def __init__(self, fd: int, row_bytes: Sequence[int], tags: Sequence[int]) -> None:

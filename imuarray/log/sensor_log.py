@@ -82,7 +82,7 @@ class SensorLog(CountScale):
             raise LogError(f"{where}: is not a group; a sensor is a group of columns with attributes")
         self._group, self._cache = group, cache
         self._attributes = group.attrs
-        self._attribute_names = frozenset(group.attrs)  # HDF5 takes long to tell that an attribute does not exist
+        self._attribute_names = frozenset(group.attrs)  # HDF5 is slow for an attribute that does not exist
         self._columns: dict[str, NamedColumn] = {}
         self._opened = opened
         self._log, self._path = ref(log), log.path  # a weak reference, so that an unused log is closed at once
@@ -91,7 +91,7 @@ class SensorLog(CountScale):
         self.chip = self._text("chip")
         self.quantity = self._text("quantity", QUANTITIES)
         self.unit = self._text("unit", tuple(SI_PER_UNIT))
-        # words of a barometer or a thermometer have no scale of their own: not every recorder writes one
+        # The words of a barometer or a thermometer have no scale of their own; not every recorder writes one.
         default = None if self.is_triad else 0.0
         self.range = self._magnitude("range", default)
         self.sensitivity = self._magnitude("sensitivity", default)

@@ -22,11 +22,13 @@ TEXT = h5t.py_create(h5py.string_dtype())
 """The type in memory of a text of varying length, for h5py's functions of HDF5."""
 
 MAX_TEXT_BYTES = 1 << 24
-"""Most bytes of all texts in a column: the messages of a hundred thousand events."""
+"""Largest number of bytes of all texts in a column: the messages of a hundred thousand events."""
 _BLOCK_BYTES = 1 << 22
-"""Bytes that are read at a time, as estimated from the length of previous texts."""
+"""Number of bytes that are read at a time, as estimated from the length of previous texts."""
 _FIRST_ROWS = 4
-"""Rows that are read before any length is known: the names of all axes, or four texts of the longest heaps (64 MB)."""
+"""Number of rows that are read before any length is known: the names of all axes, or four texts of the longest heaps
+(64 MB).
+"""
 _IMPORTED = (".csv", ".npz", ".txt", ".bin")
 """Suffixes of recordings that can be imported."""
 
@@ -68,7 +70,7 @@ def positive(value: Any) -> float:
 
 
 def check_note(fields: Any, numbers: int) -> None:
-    """Raise ValueError unless these are the fields of a phase or an event: so many times, followed by texts."""
+    """Raise ValueError unless these are the fields of a phase or an event: `numbers` times, followed by texts."""
     times, texts = fields[:numbers], fields[numbers:]
     if not isinstance(fields, list) or not all(isinstance(text, str) for text in texts):
         raise ValueError("a note is times and texts")

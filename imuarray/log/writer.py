@@ -1,9 +1,9 @@
 """The writer of a log: a draft until it is worth keeping, then a live file with a journal, and then a finished file.
 
-Until the caller decides to keep it (`keep`), a log is a draft: a compressed file under a temporary name that takes its
-own name when it is complete, and of which nothing remains if that never happens. From `keep` on it is live: `RUN.h5`,
-an uncompressed single-writer/multiple-reader file, and its journal exist before the first row, and whatever happens
-then, every acknowledged row can be read.
+Until the caller decides to keep it (`keep`), a log is a draft: a compressed file under a temporary name, which is
+renamed when it is complete; if it is never completed, nothing of it remains. From `keep` on it is live: `RUN.h5`, an
+uncompressed single-writer/multiple-reader file, and its journal exist before the first row, and every acknowledged row
+can be read whatever happens.
 
 Blocks of a live log (`Live`) pass through a bounded queue to a thread, which appends them to the journal (from then on
 they are acknowledged: they survive the process), syncs the journal every second (then they survive a power cut), and
@@ -70,7 +70,7 @@ from imuarray.log.sensor_log import SensorLog
 from imuarray.wall_time import iso_text
 
 QUEUE_BLOCKS = 1024
-"""Most blocks that wait for a slow disk; `put` waits when there are more."""
+"""Largest number of blocks that wait for a slow disk; `put` waits if there are more."""
 
 KEPT = "all acknowledged rows are in the log"
 _JOURNAL_LOST = "the journal was removed or replaced while the log was written; every sync now commits to the file"
@@ -125,7 +125,7 @@ class Live:
         reserve = None
         try:
             self._reserve = reserve = Reserve(self.path)
-            is_empty = True  # from here on
+            is_empty = True  # the journal belongs to this log from here on
             self._journal = JournalWriter(self.lock.fd, preamble)
             self._journal.sync()
             self._file = LiveFile(self.path, preamble, self._chunk)
