@@ -32,14 +32,14 @@ from imuarray.monitor.window import Gaps, LatestRows, MemoryLog, Rows
 from imuarray.units import INERTIAL
 
 _LAST_NS = 1_000_000_000
-"""Length of the last part of the log, whose mean is the current reading."""
+"""Duration in ns of the last part of the log; the current reading is the mean of this part."""
 _LAST_PERIODS = 2.5
-"""Length of this part in periods of a slow sensor."""
+"""Duration of this part in periods of a slow sensor."""
 _HELD_PERIODS = 26.0
 _HELD_BANDWIDTHS = 30.0
 _HELD_NS = 10_500_000_000
-"""The logger writes readings once it is certain that the sensor is not frozen: after 24 readings and 30 correlation
-times, and after 10 s at the latest. Up to these times, the newest row of a slow sensor is older than that of the log.
+"""Time in ns by which the newest row of a slow sensor may be older than that of the log. The logger holds readings
+until it is certain that the sensor is not frozen: for 24 readings and 30 correlation times, but at most 10 s.
 """
 _LEAST_ROWS = 128
 """Least number of rows for a spectrum."""
@@ -227,9 +227,9 @@ def _view(technique: str, calibrated: bool, block: FusedBlock) -> FusedView:
 
 
 _ALIKE = 0.05
-"""Sensors are read in the same frames if their rates differ by at most this share."""
+"""Largest relative difference between the rates of sensors that are read in the same frames."""
 _COPIES = 2
-"""Each row is stored in the journal and in the HDF5 file."""
+"""Number of copies of each row: one in the journal, one in the HDF5 file."""
 
 
 def snapshot_of(
@@ -282,7 +282,7 @@ def snapshot_of(
 
 
 _QUIET_S = 5.0
-"""The time without a row of any sensor after which a log that is being written counts as stopped."""
+"""Time in s without a row of any sensor after which a log that is being written counts as stopped."""
 
 
 def _observations(
@@ -314,14 +314,14 @@ def _extent(windows: Iterable[LatestRows]) -> tuple[int | None, int | None]:
 
 
 def _no_rows(source: LogSource, name: str) -> Rows:
-    """Return the columns of a sensor from which nothing came."""
+    """Return empty columns for a sensor without rows."""
     columns = max(1, len(np.atleast_1d(source.attributes[name].get("columns", ("x", "y", "z")))))
     return {"time": np.empty(0, np.int64), "counts": np.empty((0, columns), np.int16)}
 
 
 def _frames(views: Sequence[SensorView]) -> list[SensorView]:
-    """Return the sensors that are read once a frame: of the inertial ones, the most that have one rate. A frame that
-    was missed is missing from all of them, a reading that was lost from one.
+    """Return the sensors that are read once a frame: the largest set of inertial sensors with the same rate. A missed
+    frame is missing from all of them, a lost reading from one.
     """
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
 

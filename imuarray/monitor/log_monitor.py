@@ -37,7 +37,7 @@ from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot
 from imuarray.units import READABLE, READABLE_SI
 
 SPAN_S = 10.0
-"""The last seconds that are shown."""
+"""Duration in s of the end of the log that is shown."""
 
 
 class LogMonitor:
@@ -278,7 +278,7 @@ _XYZ = ("x", "y", "z")
 
 
 _NICENESS = 10
-"""Increase of this process's niceness: with equal demand the logger gets ten times the share of a processor."""
+"""Increase of this process's niceness: if both need the processor, the logger gets ten times this process's share."""
 
 
 def lower_priority() -> None:

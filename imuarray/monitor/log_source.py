@@ -30,7 +30,7 @@ from imuarray.monitor.window import STRIDE, Attributes, Gaps, LatestRows, gaps_o
 from imuarray.units import INERTIAL
 
 AT_ONCE = 1 << 19
-"""Most rows that one refresh counts."""
+"""Largest number of rows that one refresh counts."""
 
 
 class Backlog:
@@ -114,7 +114,7 @@ class LogSource(Protocol):
         """Read new rows and return their number."""
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
 
 
 def identity(path: Path) -> tuple[int, int] | None:
@@ -175,7 +175,7 @@ class Whole:
         return sum(len(sensor) for sensor in log.sensors.values())
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.backlog.close()
         if self._log is not None:
             self._log.close()
@@ -195,7 +195,7 @@ def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
 
 
 _MOST_BYTES = 1 << 25
-"""Most bytes of the journal that one refresh reads; after a long pause, several refreshes catch up."""
+"""Largest number of bytes of the journal that one refresh reads; after a long pause, several refreshes catch up."""
 
 
 class Growing:
@@ -271,7 +271,7 @@ class Growing:
         return identity(journal_of(self.path)) == self._journal_file
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self.backlog.close()
         self._reader.close()
 

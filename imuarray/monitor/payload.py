@@ -47,7 +47,7 @@ from imuarray.printable import printable
 from imuarray.units import READABLE, READABLE_SI
 
 DRAWN = 160
-"""Pieces of a curve, of each of which the smallest and the largest value are drawn."""
+"""Number of pieces of a curve; the smallest and the largest value of each piece are drawn."""
 
 _DIGITS = 5
 _LOWEST_BIN = 1
@@ -168,7 +168,7 @@ def _fused(fused: FusedView) -> dict[str, Any]:
 
 
 def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> dict[str, list[float | None]]:
-    """Return curves with at most two points per piece, its smallest and largest value in their order."""
+    """Return curves with at most two points per piece: its smallest and its largest value, in order of time."""
     time_s, rows = since_end_ns * 1e-9, values
     size = -(-len(time_s) // DRAWN)
     if size > 2:

@@ -3,7 +3,7 @@ interval. Importing this module raises MissingExtraError without Bokeh or Tornad
 
 The page polls, so that no permanent connection can be lost; several pages share a snapshot. Nothing is written.
 
-Access is for clients on this machine or with the token. Requests that another page makes a browser send are refused.
+Clients on this machine, or with the token, have access. Requests that a browser sends for another page are refused.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ HEADERS: Mapping[str, str] = MappingProxyType(
         "Cache-Control": "no-store",
     }
 )
-"""Headers of every response. 'unsafe-inline' is allowed for styles because Bokeh styles its figures in the page."""
+"""Headers of every response. 'unsafe-inline' is allowed for styles, because Bokeh adds styles for its figures to the
+page.
+"""
 
 _OWN_SITE = frozenset({"", "none", "same-origin"})
 _TOKEN_BYTES = 24

@@ -25,10 +25,10 @@ from imuarray.log.journal import Notes
 from imuarray.log.missed_frames import MISSED, is_fault_of_bus
 
 KEPT = 50
-"""Most events that are kept."""
+"""Largest number of events that are kept."""
 
 _MOST_BYTES = 1 << 20
-"""Most bytes of the latest notes that are read: some ten thousand events."""
+"""Largest number of bytes of the latest notes that are read: some ten thousand events."""
 
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")

@@ -11,7 +11,7 @@ from imuarray.units import READABLE_SI
 
 COLUMNS = 80
 EVENTS = 5
-"""Most events that are shown."""
+"""Largest number of events that are shown."""
 
 _SIGNS = {"specific_force": "force", "angular_rate": "rate"}
 _GIB = 1 << 30
@@ -90,7 +90,7 @@ def _sensor(view: SensorView) -> str:
 
 
 def _flags(named: Iterable[tuple[str, SensorView]], columns: int) -> list[str]:
-    """Sensors with flags among the last seconds' rows."""
+    """Return lines on the sensors that have flags among the rows of the last seconds."""
     flagged = [
         f"{name} " + ", ".join(f"{flag.replace('_', ' ')} {count}" for flag, count in view.flags.items())
         for name, view in named

@@ -73,10 +73,10 @@ Rows = Mapping[str, npt.NDArray[Any]]
 """Columns of equal length by name, as a log has them."""
 
 MOST_ROWS = 1 << 16
-"""Most rows of a window, whatever its duration: 20 s at 3200 Hz."""
+"""Largest number of rows of a window, whatever its duration: 20 s at 3200 Hz."""
 
 STRIDE = 2
-"""Number of rows between two that were read in the same order."""
+"""Number of rows from a row to the next that was read in the same order."""
 
 _DELAYED = 0.25
 """Share of a period above which a frame counts as delayed."""
@@ -86,7 +86,7 @@ _FEWEST = 8
 
 @dataclass(frozen=True)
 class Gaps:
-    """Rows that were `delayed`, and twice the rows that are missing (each is seen in two steps)."""
+    """Rows that were `delayed`, and twice the number of missing rows (each changes two steps)."""
 
     delayed: int = 0
     twice_missed: int = 0
