@@ -1,4 +1,4 @@
-"""Reports, each one self-contained HTML page: numbers with units, figures with a sentence that says what to see."""
+"""Reports, each one self-contained HTML page: numbers with units, and figures with captions that state their content."""
 
 from imuarray.report.page import Figure, Section, Table, Verdict, write_page
 

@@ -22,7 +22,9 @@ _FEWEST = 4
 """Least number of poses for which residuals are shown."""
 
 _WIDEST = 12
-"""Most poses for which the table of residuals has a column each: more do not fit on the page of a desktop computer."""
+"""Largest number of poses for which the table of residuals has a column each: more do not fit on the page of a desktop
+computer.
+"""
 
 _BASIC = {"bias", "response", "noise"}
 """Groups of a calibration's figures that the first table shows."""

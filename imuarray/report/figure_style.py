@@ -20,11 +20,11 @@ REAL, BEFORE, AFTER = "#1d2327", "#d55e00", "#0072b2"
 """Near black, and two colours of Okabe and Ito."""
 
 NARROW = 5.0
-"""Width in inches of a figure of which two share a row of the page."""
+"""Width in inches of a figure that shares a row of the page with another one."""
 
 
 class SmallFigure(PageFigure):
-    """A figure of which two share a row where the screen is wide enough."""
+    """A figure that shares a row with another one if the screen is wide enough."""
 
     is_small = True
 

@@ -31,13 +31,13 @@ from imuarray.report.verdicts import calibration_verdict, doubted, joined, recor
 from imuarray.spelling import guess_file
 
 _MOST_BYTES = 1 << 26
-"""Maximum size of a text file."""
+"""Largest size of a text file, in bytes."""
 
 _LONG_ROWS = 120_000
-"""Rows of a sensor from which a second process saves more than the second that its start takes."""
+"""Number of rows of a sensor from which on a second process saves more than the second that its start takes."""
 
 _NOISE = 0.2
-"""Share of the time of a log's sections that its noise takes; the techniques take the rest."""
+"""Share of the time for a log's sections that the noise takes; the techniques take the rest."""
 
 
 @dataclass(frozen=True)

@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 _POINTS = 2000
-"""Most points of a drawn time series, each a mean of frames."""
+"""Largest number of points of a drawn time series; each point is a mean of frames."""
 
 _WHOLE = "1"
 
 _EVENTS = 50
-"""Most events that the table shows."""
+"""Largest number of events that the table shows."""
 
 
 @dataclass(frozen=True)

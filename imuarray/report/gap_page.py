@@ -74,7 +74,7 @@ from imuarray.simulate.effects import meaning
 Parts = list[Table | Figure]
 
 MOST_ROWS = 40
-"""Most rows of a table."""
+"""Largest number of rows of a table."""
 
 PLACEBO = "placebo"
 
@@ -164,7 +164,7 @@ def _remainder(diagnosis: Diagnosis, names: str) -> str:
 
 
 _NAMED = 3
-"""Most effects or sensors that the verdict names."""
+"""Largest number of effects or sensors that the verdict names."""
 
 
 def _series(names: Sequence[str], word: str = "and") -> str:
@@ -585,7 +585,7 @@ def _numbered(heading: str, texts: Sequence[str], caption: str) -> Table:
 
 
 MOST_OVERLAYS = 12
-"""Most curves that are drawn."""
+"""Largest number of curves that are drawn."""
 
 _KINDS = MappingProxyType(
     {
@@ -598,7 +598,7 @@ _KINDS = MappingProxyType(
         "codes": "Codes: combs and gaps are coarse or missing codes; a peak at an end is saturation.",
     }
 )
-"""What to look for, by kind of overlay, in the order in which the curves are drawn."""
+"""Text on what the curves show, by kind of overlay, in the order in which the curves are drawn."""
 
 
 def curves_section(overlays: Sequence[Overlay], *, with_figures: bool) -> Section:

@@ -24,10 +24,10 @@ from imuarray.units import READABLE
 from imuarray.wall_time import wall_time
 
 _EVENTS = 500
-"""Most different events that are listed."""
+"""Largest number of different events that are listed."""
 
 _ALLAN_S = 30.0
-"""Least time at rest for which an Allan deviation is drawn: up to averaging times of several seconds."""
+"""Least time at rest in s for which an Allan deviation is drawn, up to averaging times of several seconds."""
 
 _TERMS = ("white", "flicker", "random walk")
 """Terms of the Allan fit: N, B and K of IEEE Std 952."""

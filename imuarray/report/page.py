@@ -34,7 +34,9 @@ PAPER, INK = "#14191d", "#e4e8eb"
 """Background and text of a dark page (page.html): white becomes the first, black the second."""
 
 _SHAPE = 0.55
-"""Exponent of the scale of lightness on a dark page: below 1, because mid-tones need more lightness to be distinct."""
+"""Exponent of the scale of lightness on a dark page; it is below 1 because mid-tones need more lightness there to be
+distinct.
+"""
 
 _LMS = np.array(
     [

@@ -30,21 +30,23 @@ from imuarray.series import true_runs
 from imuarray.units import SI_PER_UNIT
 
 SILENT_S = 1.0
-"""A sensor is silent if its readings begin so long after those of the others, or end so long before them."""
+"""Least time in s by which the readings of a silent sensor begin after those of the others, or end before them."""
 PERIODS = 2.5
 """Length of a pause in periods of the sensor above which readings are missing: if the array is polled in alternating
 order, readings are up to two periods apart.
 """
 
 _MOST_STRETCHES = 64_000
-"""Most stretches of all sensors together: 28 bytes each, a third more as text, so that the page is below 5 MB."""
+"""Largest number of stretches of all sensors together: 28 bytes each, a third more as text, so that the page is below
+5 MB.
+"""
 _MOST_OF_ONE = 4000
-"""Most stretches of a sensor."""
+"""Largest number of stretches of a sensor."""
 _STATIC = 500
-"""Most stretches of a sensor in the SVG, about one for each pixel of its width."""
+"""Largest number of stretches of a sensor in the SVG, about one for each pixel of its width."""
 _BLOCK = 1 << 16
 _SEPARATE = 400
-"""Marks that are closer than this fraction of the recording are joined."""
+"""Duration of the recording divided by the distance of two marks, above which the marks are joined."""
 
 Kind = Literal["clipped", "missing", "silent"]
 KINDS: tuple[Kind, ...] = ("clipped", "missing", "silent")

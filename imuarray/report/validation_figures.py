@@ -31,9 +31,9 @@ _NOMINAL = 0.05
 _SPREAD = 0.05
 """Horizontal offset between curves in natural logarithm of severity, so that their whiskers do not overlap."""
 _DARK = 0.6
-"""Share above which numbers are white."""
+"""Share of a row above which the number of a cell is white."""
 _LEAST_CLOSED = -0.25
-"""Smaller shares, of gaps that grew, are drawn at this value."""
+"""Least share that is drawn; smaller shares, of gaps that grew, are drawn at this value."""
 
 
 def plots_of(figures: Figures) -> dict[str, Figure]:

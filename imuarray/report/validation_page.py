@@ -307,7 +307,7 @@ def _run(figures: Figures, command: str) -> Section:
 # Sentences, and the page in Markdown ---------------------------------------------------------------------------------
 
 _MOST_NAMED = 5
-"""Figures without cases that are named one by one."""
+"""Largest number of figures without cases that are named one by one."""
 
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
