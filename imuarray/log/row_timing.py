@@ -3,7 +3,8 @@
 A recorder that stalls reads nothing for a while and continues at the usual rate. A host that is late reads in a burst
 what a chip has buffered, or gives time stamps to what a driver has buffered: the times are then those of arrival and
 not of the readings. The rows after a gap distinguish the two: the length of a burst corresponds to the gap before it,
-the number of rows after a stall does not. Rows that are flagged as lost never arrive, in a burst or otherwise."""
+the number of rows after a stall does not. Rows that are flagged as lost never arrive, in a burst or otherwise.
+"""
 
 from __future__ import annotations
 

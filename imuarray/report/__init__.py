@@ -1,4 +1,4 @@
-"""Reports, each one self-contained HTML page: numbers with units, and figures with captions that state their content."""
+"""Reports, each one self-contained HTML page: numbers with units, and figures with captions."""
 
 from imuarray.report.page import Figure, Section, Table, Verdict, write_page
 
