@@ -1,4 +1,4 @@
-"""Validation of the diagnosis: cases with a sealed truth are diagnosed blindly and scored at the end.
+"""Validation of the diagnosis: cases with a sealed truth are diagnosed blindly and are scored at the end.
 
 ::
 

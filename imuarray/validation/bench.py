@@ -1,8 +1,8 @@
 """The fixed plans of the emulated bench: the sensors, the experiments, the effects that an experiment cannot show, and
-the severity at which the full plan just shows a mechanism.
+the severity at which a mechanism is just detectable on the full plan.
 
-The limits were measured on development seeds in November 2026. A random world has limits of its own
-(`imuarray.validation.severity`); for these the values below are where the search starts.
+The limits were measured on development seeds in November 2026. The limits of a random world are determined for each
+case (`imuarray.validation.severity`); that search starts from the values below.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ ARRAY = "martin2013"
 CHIPS: Mapping[str, str] = MappingProxyType(
     {"ADXL1": "adxl345", "BMA1": "bma180", "BMA3": "bma180", "Gyro1": "l3g4200d", "Gyro3": "l3g4200d"}
 )
-"""The emulated array and the sensors that are read: twins at one address of two segments, and another accelerometer."""
+"""The sensors of the emulated array that are read, with their chips: two pairs of equal sensors, which have the same
+address on two segments of the bus, and another accelerometer.
+"""
 
 PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -29,7 +31,7 @@ PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """The experiments of each plan, as the emulator's bench names them."""
 
 FULL = "full"
-"""The plan of all cases except controls and those that demonstrate what a shorter plan cannot show."""
+"""The plan of all cases except controls and cases that demonstrate what a shorter plan cannot show."""
 
 AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag")
 IN_ONE_ATTITUDE = ("scale", "misalignment", "nonlinearity", "g_sensitivity", "saturation", "clock_error")
@@ -45,11 +47,11 @@ HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
         "turn-on": frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST)),
     }
 )
-"""The effects that a plan cannot show, by what they need: another temperature, face or boot, or motion.
+"""The effects that a plan cannot show, because they need a second temperature, face or boot, or motion.
 
-Effects that were measured to show are not listed (mechanisms at 5 limits, development seeds): host latency shows in the
-repeated readings of gyroscopes with their own clock, a clock error in when the box is turned, and clipping on the face
-on which it occurs.
+Effects that were detected in measurements (mechanisms at 5 limits, development seeds) are not listed: host latency is
+detected from the repeated readings of gyroscopes with their own clock, a clock error from the times at which the box is
+turned, and clipping on the face on which it occurs.
 """
 
 LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
@@ -98,16 +100,17 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "mux_hang": {"": 0.016},
     }
 )
-"""Detection limits on one sensor of each chip that has the mechanism, or wherever it acts (""). The search covered 1/64
-to 64: 0.016 is the smallest value, nan means more than the largest. Mechanisms that are not listed have no size. The
-stress of power-ups begins to count where the scatter exceeds what is taken for usual
-(`imuarray.gap.model.populations.turn_on_rms`), which is more than what shows of BMA1 and Gyro1.
+"""Detection limits, in reference sizes, on one sensor of each chip that has the mechanism; "" for a mechanism that does
+not act on a single sensor. The search covered 1/64 to 64: 0.016 is the smallest value, nan means more than the largest.
+Mechanisms that are not listed have no size. Power-on stress is detected only if the scatter between runs exceeds the
+usual one (`imuarray.gap.model.populations.turn_on_rms`), which is larger than the smallest visible scatter of BMA1 and
+Gyro1.
 """
 
 
 def limit(mechanism: str, chip: str = "") -> float:
-    """Return the detection limit of a mechanism on a sensor of a chip ("": on whatever it affects). nan if the
-    mechanism never shows; 1.0 if it is not in the table.
+    """Return the detection limit of a mechanism on a sensor of a chip ("": of a mechanism that does not act on a single
+    sensor). nan if the mechanism is never detected; 1.0 if it is not in the table.
     """
     limits = LIMITS.get(mechanism, {})
     twin = next((name for name in limits if name and CHIPS[name] == chip), "")

@@ -1,4 +1,4 @@
-"""Fit the probabilities of reported causes to how often they are right, given how much of the gap they close.
+"""Fit the probabilities of reported causes: how often a cause is right, given the share of the gap that it closes.
 
     python -m imuarray.validation.calibration DIR...
 
@@ -29,14 +29,14 @@ from imuarray.validation.score_answers import Answer, number, read_run
 from imuarray.validation.score_rows import FULL, group_answers
 
 _SOLE = 0.9
-"""Share from which on a cause has no rival."""
+"""Share among rivals from which on a cause counts as having no rival."""
 
 FOLDS = 5
-"""Number of folds; each is judged by rates fitted to the others."""
+"""Number of folds; each is evaluated with rates fitted to the others."""
 LEAST_CAUSES = 20
-"""Minimum number of causes to fit or to judge rates with when a chip or an experiment is left out."""
+"""Minimum number of causes for fitting or evaluating rates when a chip or an experiment is left out."""
 CONFUSED = 0.1
-"""Share of an effect's cases in which another effect is reported first, from which on the two are confusable."""
+"""Two effects are confusable if, in at least this share of the cases of one of them, the other is reported first."""
 
 _BOUNDS = ((0.01, 0.99), (0.01, 0.99), (0.5, 20.0), (0.1, 1.0))
 _STARTS = ((0.3, 0.9, 4.0, 0.9), (0.1, 0.97, 1.5, 0.4))
@@ -46,8 +46,8 @@ _EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
 
 
 class CauseClaim(NamedTuple):
-    """A reported cause: its share among rivals, the closed share of its sensors' gap with all causes, and whether it is
-    right.
+    """A reported cause: its share among rivals, the share of its sensors' gap that all causes together close, and
+    whether it is right.
     """
 
     share: float
@@ -134,7 +134,7 @@ def _without_a_part(answers: Sequence[Answer]) -> Iterator[Fold]:
 
 def confusable_pairs(answers: Sequence[Answer]) -> list[ConfusablePair]:
     """Return, for single effects, the other effects reported as the first cause in at least `CONFUSED` of the cases and
-    at least two, most frequent first. These may rightly be called confusable.
+    at least two, most frequent first. The diagnosis may report these effects as confusable.
     """
     said: dict[str, Counter[str]] = {}
     for answer in answers:

@@ -1,6 +1,6 @@
-"""A case of the validation: what is recorded, which mechanisms are active in it, and the outcome of its diagnosis.
+"""A case of the validation: its recording plan, the mechanisms that are active in it, and the outcome of its diagnosis.
 
-A case depends on its seed alone, so it can be made again anywhere. Its logs and its diagnosis are in one folder under a
+A case depends only on its seed, so it can be reproduced anywhere. Its logs and its diagnosis are in one folder under a
 neutral name; the truth is in another folder, which only the scorer opens.
 """
 
@@ -16,15 +16,15 @@ from imuarray.atomic import write_text
 
 Half = Literal["development", "sealed"]
 Kind = Literal["none", "single", "withheld", "unnamed", "pair", "removal"]
-"""No mechanism; one mechanism that the library of causes names; one whose names are withheld from the library; one that
-no effect describes; two mechanisms; an effect that only the model has.
+"""In this order: no mechanism; one mechanism that the library of causes names; one mechanism whose names are withheld
+from the library; one mechanism that no effect describes; two mechanisms; an effect that only the model has.
 """
 
 
 @dataclass(frozen=True)
 class Put:
-    """A mechanism placed on sensors (none named: wherever it acts). `severity` is in units of its reference size,
-    `limits` in detection limits (nan if the mechanism has no size).
+    """A mechanism placed on sensors (none are named if the mechanism determines where it acts). `severity` is in units
+    of its reference size, `limits` in detection limits (nan if the mechanism has no size).
     """
 
     mechanism: str
@@ -42,8 +42,8 @@ class Case:
 
     `world` names the origin: "" for the fixed plans of the emulated bench, "emulator" for a random world drawn from the
     seed `draw`, otherwise the name given in the folder `source`. `is_hidden`: the plan cannot show the mechanism.
-    `chips` maps sensors to chips, `strata` are properties by which figures are broken down, and `control` names the
-    case with the same recording before the injection.
+    `chips` maps sensors to chips, `strata` are properties by which figures are broken down, and `control` is the name
+    of the case with the same recording before the injection.
     """
 
     number: int
@@ -82,9 +82,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a case. `diagnosis` is the JSON of the blind diagnosis; `oracle` holds the share of the gap
-    closed, and its interval, by a diagnosis that knows the effects ({} without effects); `error` is the error message,
-    "" without one; `seconds` is the processing time.
+    """The outcome of a case. `diagnosis` is the JSON of the blind diagnosis; `oracle` holds the share of the gap that a
+    diagnosis with known effects closes, and its interval ({} without effects); `error` is the error message, "" without
+    one; `seconds` is the processing time.
     """
 
     name: str
@@ -95,5 +95,5 @@ class Outcome:
 
 
 def write_json(path: Path, table: Any) -> None:
-    """Write the file completely or not at all: an existing file is complete."""
+    """Write the file completely or not at all, so that an existing file is always complete."""
     write_text(path, json.dumps(table, indent=1) + "\n", force=True)

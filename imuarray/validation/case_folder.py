@@ -1,4 +1,4 @@
-"""Folders of cases from any source: logs, and apart from them the truth of each case.
+"""Folders of cases from any source: the logs, and separate from them the truth of each case.
 
 ::
 
@@ -18,8 +18,8 @@ A truth is one object of JSON; keys in brackets are optional:
     [experiments]  a list of names, which makes the plan; [sensors]: chips by the names of sensors; [strata]: words
     [control]    the number of the case that is the same recording before anything was put into it
 
-Other keys are kept and ignored. Effects whose only names are those of nuisance quantities are within what parts may
-have.
+Other keys are kept and ignored. An effect that has only names of nuisance quantities is ignored, because it is within
+the tolerances of parts.
 """
 
 from __future__ import annotations

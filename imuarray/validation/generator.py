@@ -21,8 +21,8 @@ PROGRAM = (sys.executable, "-m", "firmware_emulator.cases")
 @cache
 def mechanisms() -> dict[str, dict[str, Any]]:
     """Return the generator's description of each mechanism: the chips that it `touches`, its `place` ("sensor", "pair",
-    "design" or "host"), the effects that it `resembles`, whether it is `graded`. Mechanisms that resemble nuisance
-    quantities only are left out, since no diagnosis reports these as causes.
+    "design" or "host"), the effects that it `resembles`, whether it is `graded`. Mechanisms that resemble only nuisance
+    quantities are omitted, because no diagnosis reports these as causes.
     """
     described: dict[str, dict[str, Any]] = json.loads(_run_generator("--mechanisms"))
     named = {}
@@ -41,7 +41,7 @@ def record(folder: Path, plan: str, puts: Sequence[Put], seed: int) -> tuple[lis
 def record_in(
     world: Mapping[str, Any], folder: Path, puts: Sequence[Put], seed: int
 ) -> tuple[list[Path], dict[str, Any]]:
-    """Record a case in a world, a table as `imuarray.validation.worlds.World` makes it."""
+    """Record a case in a world, which is a table in the form of `imuarray.validation.worlds.World.table`."""
     folder.mkdir(parents=True, exist_ok=True)
     table = folder / "world.json"
     table.write_text(json.dumps(world), encoding="utf-8")

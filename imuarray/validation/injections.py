@@ -2,13 +2,13 @@
 
     python -m imuarray.validation.injections RUN.h5... -o FOLDER --seed 1
 
-A recording of real sensors has unknown effects of its own; only the injected one is known. A case is therefore judged
-by the causes that are reported for it and not for its control. The folder is one of `imuarray.validation.case_folder`.
-Sizes are in detection limits as everywhere (`imuarray.validation.severity`).
+A recording of real sensors has unknown effects of its own; only the injected effect is known. A case is therefore
+scored by the causes that are reported for it and not for its control. The folder has the form of
+`imuarray.validation.case_folder`. Sizes are in detection limits (`imuarray.validation.severity`).
 
 An effect of the signal acts before its conversion to codes. The recording has only the codes: the signal before the
 conversion is drawn within the width of its code, the effect is added, and the sum is converted again. Without an effect
-the codes remain as they are, however coarse they are; a small effect changes few of them.
+no code changes, however coarse the codes are; a small effect changes few of them.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from imuarray.validation.severity import find_severity, matched_statistic
 LIMITS = 5.0
 """Default size of an injected effect in detection limits."""
 WANDER_S = 30.0
-"""Correlation time of a wandering offset."""
+"""Correlation time of a wandering offset in s."""
 _LEVEL_ROWS = 64
 _MOVES = {"g": 0.5, "dps": 20.0}
-"""Change of the mean of `_LEVEL_ROWS` rows from which on a sensor has moved."""
+"""Change of the mean of `_LEVEL_ROWS` rows above which a sensor is considered to have moved, by unit."""
 
 
 class Rows(NamedTuple):
@@ -59,8 +59,8 @@ class Rows(NamedTuple):
 class Injection:
     """An effect that can be injected into a recording. `act` returns changed rows for rows, axis, size and generator.
     `names` are the correct effect names, `first` the size at which the search for the detection limit starts, in counts
-    unless `unit` says otherwise; 0 if the effect has no size. `needs_motion`: nobody sees it in a recording at rest;
-    `needs_every_code`: nor in a sensor whose codes already have another step than 1.
+    unless `unit` says otherwise; 0 if the effect has no size. `needs_motion`: it cannot be detected in a recording at
+    rest; `needs_every_code`: it cannot be detected in a sensor whose codes already have a step other than 1.
     """
 
     act: Callable[[Rows, int, float, np.random.Generator], Rows]
@@ -145,9 +145,9 @@ def write_cases(
     names: Sequence[str] = tuple(INJECTIONS),
     limits: float = LIMITS,
 ) -> list[str]:
-    """Write the control and one case of each injection into the first of the `logs`, which all belong to one recording.
-    Returns the numbers of the cases, the control's first, continuing those in the folder. Injections that do not reach
-    the required size are left out.
+    """Write the control, and one case for each injection into the first of the `logs`, which all belong to one
+    recording. Return the numbers of the cases, that of the control first; they continue the numbers in the folder.
+    Injections that do not reach the required size are omitted.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = len([place for place in folder.glob("[0-9]*") if place.is_dir()])
@@ -209,14 +209,16 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
 
 
 def _reading_times_s(sensor: SensorLog) -> Floats:
-    """Return when the rows were read (n,) s since the first one: not their stamps if those are arrivals in bursts."""
+    """Return the times (n,) at which the rows were read, in s since the first one. If rows arrive in bursts, these are
+    not their stamps.
+    """
     is_stamped_late = row_timing(sensor).kind == "bursts"
     time_ns = even_rows(sensor).stamps(0, len(sensor)) if is_stamped_late else np.asarray(sensor.time[:], np.int64)
     return np.asarray((time_ns - time_ns[0]) * 1e-9)
 
 
 def _targets(injection: Injection, sensors: Mapping[str, SensorLog]) -> list[str]:
-    """Return the sensors that can show the effect: inertial ones if there are any."""
+    """Return the sensors in which the effect can be detected: the inertial ones if there are any, otherwise all."""
     inertial = {name: sensor for name, sensor in sensors.items() if sensor.quantity in INERTIAL}
     if injection.needs_motion and not any(map(_moves, inertial.values())):
         return []
@@ -228,7 +230,7 @@ def _targets(injection: Injection, sensors: Mapping[str, SensorLog]) -> list[str
 
 
 def _moves(sensor: SensorLog) -> bool:
-    """Return whether the level of an inertial sensor changes by more than offsets do."""
+    """Return whether the level of an inertial sensor changes by more than its offset can change."""
     rows = len(sensor) // _LEVEL_ROWS
     levels = sensor.counts[: rows * _LEVEL_ROWS].reshape(rows, _LEVEL_ROWS, 3).mean(axis=1) / sensor.sensitivity
     return bool(rows and np.ptp(levels, axis=0).max() > _MOVES[sensor.unit])
@@ -278,7 +280,7 @@ def _find_size(
 @click.option("--seed", type=int, default=0, show_default=True, help="of sensors, axes and chance")
 @click.option("--limits", type=float, default=LIMITS, show_default=True, help="size in detection limits")
 def program(logs: tuple[Path, ...], output: Path, seed: int, limits: float) -> None:
-    """Write the cases of each log, which is a recording of its own."""
+    """Write the cases of each log; every log is a separate recording."""
     for number, path in enumerate(logs):
         for name in write_cases([path], output, 1000 * seed + number, limits=limits):
             click.echo(output / name)

@@ -1,6 +1,6 @@
-"""The cases of a run: the active mechanisms, their size, and the recording, by half, size and seed.
+"""The cases of a run, by half, size and seed: the active mechanisms, their size, and the recording.
 
-Severities are in units of the detection limit: for a random world the limit of the case itself
+Severities are in units of the detection limit: for a random world this is the limit of the case itself
 (`imuarray.validation.severity`), for the fixed plans a limit that was measured once (`imuarray.validation.bench`). The
 seeds of the two halves are disjoint.
 """
@@ -57,19 +57,21 @@ NEEDED_BY_UNNAMED: Mapping[str, str] = MappingProxyType(
 
 NUISANCES = frozenset({"white_noise", "jitter"})
 """Effects that are nuisance quantities in a random world, whatever their size: the noise of a part, which is fitted,
-and how late a busy recorder reads. Mechanisms with no other effect are not recorded there.
+and the delay of a busy recorder. Mechanisms that have only these effects are not recorded there.
 """
 
 NEED_COMMON_ADDRESSES = frozenset({"mux_hang"})
-"""Mechanisms by which one sensor answers for another, at the same address of another channel."""
+"""Mechanisms by which a sensor is read instead of another one that has the same address on another channel."""
 
 MANY_FACES = 4
-"""Number of faces that show what a tumble does; with two or more nothing is hidden for sure."""
+"""Number of faces from which on a recording shows the same effects as a tumble. With two or more, no effect is
+certainly hidden.
+"""
 
 
 def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[str]:
-    """Return the effects that a world hardly shows, or cannot show `for_sure`, on a sensor of a chip, by what they
-    need.
+    """Return the effects that are probably hidden in a world, or with `for_sure` only those that are certainly hidden,
+    on a sensor of a chip, according to the conditions that they need.
     """
     moves = "motion" in world.kinds and bool(world.recorder["reference"])
     accelerometers = sum(other != "l3g4200d" for other in world.inertial.values())
@@ -101,7 +103,7 @@ EXTRAS: tuple[Mapping[str, Any], ...] = (
     {"chip": "bma180", "effect": "turn_on_bias", "parameters": {"rms_g": [0.05, 0.05, 0.05]}},
     {"chip": "adxl345", "effect": "quantisation", "parameters": {"step_lsb": 4.0}},
 )
-"""Effects that the model has for one sensor of a chip and the sensor does not."""
+"""Effects that the model has for one sensor of a chip and that the sensor itself does not have."""
 
 _SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed": 2_000_000})
 """The first seed of each half; a million cases keep them apart."""
@@ -109,11 +111,11 @@ _SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed
 
 @dataclass(frozen=True)
 class Size:
-    """The number of cases: `controls` for each plan, or in total for random worlds; `singles` of each named mechanism
-    at each of `severities`, `others` of it on each other fixed plan at the highest severity, `hidden` where it cannot
-    show; `withheld` of each named and `unnamed` of each unnamed mechanism; `pairs` on different sensors and on one;
-    `removals` of each extra effect. `mechanisms` restricts the list, and `effects` to the mechanisms that resemble any
-    of them and to these extra effects.
+    """The numbers of cases: `controls` for each plan, or in total for random worlds; `singles` of each named mechanism
+    at each of `severities`, `others` of it on each other fixed plan at the highest severity, `hidden` in recordings
+    that cannot show it; `withheld` of each named and `unnamed` of each unnamed mechanism; `pairs` on different sensors
+    and on the same sensor; `removals` of each extra effect. `mechanisms` restricts the mechanisms to these; `effects`
+    restricts them to those that resemble any of these effects, and restricts the extra effects to these.
 
     The cases are in random `worlds`, or on the fixed `plans` of the emulated bench.
     """
@@ -160,10 +162,11 @@ SIZES: Mapping[str, Size] = MappingProxyType(
         "full": Size(controls=1000, singles=12, hidden=4, withheld=6, unnamed=20, pairs=200, removals=10, worlds=True),
     }
 )
-"""Sizes by the names that the command takes: "none" for case folders alone, the next three on the fixed plans."""
+"""Sizes by the names that the command accepts: "none" is for case folders alone, the next three are on the fixed plans.
+"""
 
 MOST_CASES = 10_000
-"""Distance between the first seeds of two sets of cases, and so the greatest number of cases in a set."""
+"""Distance between the first seeds of two sets of cases, and therefore the maximum number of cases in a set."""
 STRIDE = 10_000_000
 """Distance between the seeds of the worlds tried for one case; the halves stay disjoint."""
 MOST_WORLDS = 2000
@@ -185,12 +188,12 @@ class _DrawnCase(NamedTuple):
 def restrict(
     size: Size, effects: Sequence[str] = (), severities: Sequence[float] = (), repeats: int | None = None
 ) -> Size:
-    """Return a size with other mechanisms, severities or numbers; what is not given stays as it is.
+    """Return a size with other mechanisms, severities or numbers; arguments that are not given change nothing.
 
-    `effects` chooses the mechanisms that resemble any of these effects, whatever the size's own list, and no mechanism
-    without a name; controls stay. `severities` are some of `SEVERITIES`. `repeats` is the number of cases of each
-    mechanism at each severity; the numbers of all other cases change in proportion and none becomes 0. ConfigError for
-    an effect without a mechanism, and for another severity.
+    `effects` selects the mechanisms that resemble any of these effects, regardless of the size's own list, and excludes
+    mechanisms without a name; controls stay. `severities` are some of `SEVERITIES`. `repeats` is the number of cases of
+    each mechanism at each severity; the numbers of all other cases change in proportion and none becomes 0. ConfigError
+    for an effect without a mechanism, and for another severity.
     """
     if effects:
         size = replace(size, mechanisms=(), effects=tuple(dict.fromkeys(effects)))
@@ -218,8 +221,8 @@ _COUNTS = ("controls", "singles", "others", "hidden", "withheld", "unnamed", "pa
 
 
 def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
-    """Return the numbered cases; each `seed` (0 to 99) makes another set of the same half. ConfigError for more cases
-    than `MOST_CASES`.
+    """Return the numbered cases; each `seed` (0 to 99) gives a different set of the same half. ConfigError for more
+    cases than `MOST_CASES`.
     """
     if not 0 <= seed < 100:
         raise ValueError(f"seed {seed}; allowed is 0 to 99")
@@ -227,7 +230,7 @@ def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
     planned = list(_all(size))
     if len(planned) > MOST_CASES:
         raise ConfigError(f"{len(planned)} cases are planned; allowed are at most {MOST_CASES}")
-    random.Random(first).shuffle(planned)  # a run that is stopped early has something of everything
+    random.Random(first).shuffle(planned)  # a run that is stopped early covers every kind of case
     place = _in_a_world if size.worlds else _on_the_bench
     return [place(drawn, half, number, first + number) for number, drawn in enumerate(planned)]
 
@@ -283,7 +286,7 @@ def _all(size: Size) -> Iterator[_DrawnCase]:
 
 
 def _hidden(name: str, resembles: Collection[str], size: Size) -> Iterator[_DrawnCase]:
-    """Yield cases of a mechanism where it does not show, and on the fixed plans that are not full."""
+    """Yield cases of a mechanism in random worlds that do not show it, or on the fixed plans except the full one."""
     if size.worlds:
         if set(resembles) <= _SOMEWHERE_HIDDEN:
             yield from [_DrawnCase("single", RANDOM, (name,), size.severities[-1], is_hidden=True)] * size.hidden
@@ -353,8 +356,8 @@ def _places(
     can_show: Callable[[str, str], bool],
     twins: Sequence[tuple[str, str]] | None = None,
 ) -> list[tuple[str, ...]] | None:
-    """Return the sensors of each mechanism: those that both mechanisms of a pair can affect, or one for each; None if
-    there are not enough. A mechanism that affects whatever it can has no sensors.
+    """Return the sensors of each mechanism: one sensor that both mechanisms of a pair can affect, or separate ones for
+    each; None if there are not enough. A mechanism that itself determines where it acts has no sensors.
     """
     facts = [mechanisms()[name] for name in drawn.names]
     free = [
@@ -383,7 +386,7 @@ def _sensors(
     choose: random.Random,
     twins: Sequence[tuple[str, str]] | None,
 ) -> tuple[str, ...] | None:
-    """Return one sensor, two of a chip, or none where the mechanism determines where it acts; None if there are not
+    """Return one sensor, two of a chip, or () if the mechanism itself determines where it acts; None if there are not
     enough.
     """
     if place == "sensor":
@@ -412,7 +415,9 @@ def _case(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
 
 
 def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...], chip: str) -> Put:
-    """Place a mechanism at `limits` detection limits. A mechanism that cannot reach them gets the greatest severity."""
+    """Place a mechanism at `limits` detection limits. A mechanism that cannot reach this size gets the greatest
+    severity.
+    """
     if not is_graded:
         return Put(mechanism, 1.0, math.nan, sensors)
     severity = limit(mechanism, chip) * limits

@@ -121,7 +121,7 @@ def auroc(positives: Numbers, negatives: Numbers) -> float:
 
 
 def limit_of(negatives: Numbers, most: float) -> float:
-    """Return the least limit that at most the share `most` of `negatives` (n,) exceeds; -inf without any."""
+    """Return the smallest limit that at most the share `most` of `negatives` (n,) exceeds; -inf without negatives."""
     allowed = floor(most * len(negatives) + _ROUNDING)
     return float(np.sort(negatives)[::-1][allowed]) if allowed < len(negatives) else -inf
 
@@ -148,8 +148,8 @@ def calibration_error(probabilities: Numbers, right: Any) -> float:
 
 
 def calibration_error_by_chance(probabilities: Floats, seed: int) -> float:
-    """Return the mean calibration error of correct probabilities (n,): with few values a bin's share deviates by
-    chance.
+    """Return the mean calibration error that correct probabilities (n,) have by chance, because with few values the
+    share of a bin scatters.
     """
     random = np.random.default_rng(seed)
     drawn = (random.random(len(probabilities)) < probabilities for _ in range(_MEANS))
@@ -164,8 +164,9 @@ def brier(probabilities: Numbers, right: Any) -> float:
 
 
 def permute_labels(hits: Any, seed: int) -> Chance:
-    """Permute the labels of `hits` (n, n), whether answer i (row) hits label j (column). The hits are of one
-    permutation; mean and deviation of the share are exact (Hoeffding, Ann. Math. Stat. 22, 1951).
+    """Permute the labels of `hits` (n, n), which are True if answer i (row) hits label j (column). The number of hits
+    is that of one permutation; mean and standard deviation of the share are exact over all permutations (Hoeffding,
+    Ann. Math. Stat. 22, 1951).
     """
     table = np.asarray(hits, bool)
     many = len(table)
@@ -173,6 +174,6 @@ def permute_labels(hits: Any, seed: int) -> Chance:
         return Chance(0, nan, nan)
     order = np.random.default_rng(seed).permutation(many)
     mean, rows, columns = float(table.mean()), table.mean(axis=1), table.mean(axis=0)
-    squares = many * many * (mean + mean**2) - many * float((rows**2).sum() + (columns**2).sum())  # of what is left
-    deviation = sqrt(max(squares, 0.0) / (many - 1)) / many if many > 1 else 0.0  # without both means
+    squares = many * many * (mean + mean**2) - many * float((rows**2).sum() + (columns**2).sum())  # residuals
+    deviation = sqrt(max(squares, 0.0) / (many - 1)) / many if many > 1 else 0.0  # after subtraction of both means
     return Chance(int(table[np.arange(many), order].sum()), mean, deviation)

@@ -1,10 +1,10 @@
-"""Run many cases over an executor: resumable, and a worker that dies costs only its case.
+"""Run many cases over an executor. A run can be resumed, and if a worker dies, only its case is lost.
 
 A case is submitted with a folder's path and returns its state. The worker writes the files of the case, completely or
 not at all; they do not depend on the worker, the number of workers or the order.
 
-A worker dies because of its case (memory, a crash of compiled code) or for another reason. Each start of a case is
-recorded in the folder beforehand, so that no case starts a third time, whether this process or a cluster's scheduler
+A worker may die because of its case (memory, a crash of compiled code) or for another reason. Each start of a case is
+first recorded in the folder, so that no case starts a third time, whether this process or a cluster's scheduler
 resubmits it.
 
 The cases run in processes of this machine or in the workers of a Dask cluster. Both report in which case a worker died.
@@ -45,7 +45,7 @@ _CONNECT_S = 10.0
 
 
 class Workers(Protocol):
-    """An executor that reports how many calls it runs in parallel, and that a worker died."""
+    """An executor that reports the number of calls that it runs in parallel, and the death of a worker."""
 
     @property
     def places(self) -> int:
@@ -65,9 +65,9 @@ def executor_of(text: str, workers: int) -> Iterator[Workers]:
     scheduler's address, "tcp://host:port", with all its workers.
 
     A cluster's workers need this version of the package and the same folder under the same path; one thread each (`dask
-    worker --nthreads 1`), since a death costs the calls of all threads; and one BLAS thread, which is Dask's default
-    without --no-nanny. ConfigError for another text, MissingExtraError without Dask, ImuArrayError if no scheduler
-    answers.
+    worker --nthreads 1`), because the calls of all threads are lost with a worker; and one BLAS thread, which is Dask's
+    default without --no-nanny. ConfigError for another text, MissingExtraError without Dask, ImuArrayError if no
+    scheduler answers.
     """
     if text == "processes":
         with Processes(workers) as here:
@@ -116,7 +116,7 @@ class Processes(Executor):
         self.shutdown()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Finish the calls that have started, as every executor does."""
+        """Wait for the calls that have started, as every executor does."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
         for pool in self._pools:
             pool.shutdown(wait, cancel_futures=cancel_futures)
@@ -128,7 +128,7 @@ class Cluster:
     def __init__(self, client: Any) -> None:
         self.deaths: tuple[type[Exception], ...] = (import_module("distributed").KilledWorker,)
         self._client = client
-        self._executor = client.get_executor(pure=False)  # the same call twice is meant, for the sake of its files
+        self._executor = client.get_executor(pure=False)  # equal calls must all run, because they write files
 
     @property
     def places(self) -> int:
@@ -259,7 +259,7 @@ def _unfinished(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
 def _finished(
     cases: Sequence[Case], workers: Workers, job: Job, folder: Path
 ) -> Generator[tuple[Case, State], None, None]:
-    """Yield each case when it finishes. Only as many are submitted as run in parallel, so that few are lost on exit."""
+    """Yield each case when it finishes. No more are submitted than run in parallel, so that few are lost on exit."""
     waiting, again, deaths = deque(cases), deque[Case](), Counter[str]()
     running: dict[Future[State], Case] = {}
     try:
@@ -306,7 +306,7 @@ def _state_of_future(
 
 
 def _attempt(job: Job, case: Case, folder: Path) -> State:
-    """Run a case in the worker. A case may already be finished, if its worker died before it reported so."""
+    """Run a case in the worker. A case may already be finished if its worker died before it reported the result."""
     state = _state(case, folder)
     if state is not None:
         return state
@@ -330,7 +330,7 @@ def _finish(case: Case, folder: Path, error: str) -> State:
 
 
 def _state(case: Case, folder: Path) -> State | None:
-    """Return the state from the outcome file; None if there is no readable one."""
+    """Return the state from the outcome file; None if there is no readable file."""
     try:
         return _of_error(json.loads(_outcome(case, folder).read_text())["error"])
     except (FileNotFoundError, ValueError):
@@ -346,7 +346,7 @@ def _outcome(case: Case, folder: Path) -> Path:
 
 
 def _mark(folder: Path, case: Case | None = None) -> Path:
-    """Return the file that has a byte for each start of the case, or the folder of all of them."""
+    """Return the file that has one byte for each start of the case, or the folder of these files."""
     return folder / "begun" / (case.name if case else "")
 
 

@@ -20,7 +20,7 @@ LIKELY = 0.5
 
 NO_GAP, NOTHING_NAMED = "no gap", "nothing named"
 NEVER_BEGUN = "never begun"
-"""Why there is no result of the cases that a run did not reach before it was stopped."""
+"""The reason stated for cases that a run did not reach before it was stopped."""
 
 Cause = Mapping[str, Any]
 """A cause, as the JSON of a diagnosis has it."""
@@ -33,11 +33,11 @@ WORLD_EFFECTS: Mapping[tuple[str, str], frozenset[str]] = MappingProxyType(
         ("vibration", "fan"): frozenset({"tone", "common_mode"}),
     }
 )
-"""The effects that may rightly be reported in a stratum of a random world, whatever else is active."""
+"""The effects that are correct reports in a stratum of a random world, whichever mechanism is active."""
 
 
 _IDENTITY = ("frequency_hz", "step_lsb")
-"""Parameters by which two causes of one effect, sensor and axis are told apart."""
+"""Parameters that distinguish two causes of the same effect, sensor and axis."""
 
 _SAME = 0.05
 """Largest relative difference of these parameters between equal causes."""
@@ -91,8 +91,8 @@ class Answer:
 
     @property
     def is_in_control(self) -> bool:
-        """True if the control has a right cause at the right place that can't be told from that of the case: lines and
-        steps can, by their frequency and size.
+        """True if the control has a correct cause at the correct place that cannot be distinguished from that of the
+        case. Lines and steps can be distinguished by their frequency and size.
         """
         return any(
             mechanism.is_located_by(cause) and meets(mechanism.axes, cause.get("axes") or ())
@@ -103,14 +103,16 @@ class Answer:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The reported causes without those that are rightly reported of the world, which answer no question."""
+        """The reported causes without those that correctly describe the world, which are neither right nor wrong
+        answers.
+        """
         active = frozenset().union(*(mechanism.resembles for mechanism in self.active))
         of_world = self.world_effects - active
         return tuple(cause for cause in self.reported if cause["effect"] not in of_world)
 
     def is_false_alarm(self) -> bool:
         """Return whether a gap is reported that the world of a control does not explain. Wrong face labels or a
-        vibrating room are rightly reported; everything else is a false alarm.
+        vibrating room are correct reports; everything else is a false alarm.
         """
         if not self.is_detected() or self.verdict != "explained":
             return self.is_detected()
@@ -141,7 +143,7 @@ class Answer:
 
     @property
     def limits(self) -> float:
-        """Size of the smallest mechanism at work, in detection limits; nan if it is there or not."""
+        """Size of the smallest active mechanism in detection limits; nan for a mechanism without a size."""
         return min((mechanism.limits for mechanism in self.active if isfinite(mechanism.limits)), default=nan)
 
     @property
@@ -216,9 +218,9 @@ class ValidationRun:
 
 def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> ValidationRun:
     """Read a run's folder with its sealed truth. Cases without outcome are lost, as are outcomes without truth and
-    those of `planned` without any file. A case in which a random mechanism never acted has no answer, nor has one whose
-    control has the same effect at the same place: nobody could tell the two apart. ConfigError if it is not the folder
-    of a run.
+    those of `planned` without any file. Two kinds of cases are not counted: those in which a random mechanism never
+    acted, and those whose control has the same effect at the same place, because the two effects cannot be
+    distinguished. ConfigError if it is not the folder of a run.
     """
     place = Path(folder)
     try:
@@ -260,11 +262,11 @@ def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
 
 def _is_known(cause: Cause, known: Iterable[Cause]) -> bool:
     """Return whether the known causes have this effect on all sensors of the cause, each on one of its axes. A line of
-    another frequency and a step of another size are other causes.
+    a different frequency or a step of a different size is a different cause.
     """
     same = [other for other in known if other["effect"] == cause["effect"] and _can_be_same(cause, other)]
     sensors = [set(other.get("sensors") or ()) for other in same]
-    if not all(sensors):  # one of them is of all sensors
+    if not all(sensors):  # one of them is a cause in all sensors
         return True
     own = set(cause.get("sensors") or ())
     return bool(own) and own <= set().union(*sensors)
@@ -307,7 +309,7 @@ def meets(sensors: Iterable[str], others: Iterable[str]) -> bool:
 
 
 def number(value: Any, otherwise: float = nan) -> float:
-    """Return a number of JSON, which has null for what isn't finite."""
+    """Return a number of JSON as a float; `otherwise` for null, which stands for values that are not finite."""
     return otherwise if value is None else float(value)
 
 

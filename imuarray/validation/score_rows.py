@@ -37,15 +37,16 @@ NO_BAR: Bar = (None, None)
 FULL = "full"
 """The plan on which bars are judged by default."""
 EVERY = ""
-"""Stands for all plans, on which the bars of random worlds are judged."""
+"""Stands for all plans; the bars of random worlds are judged on all of them."""
 
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """A figure: `value` with its 95 % interval over `cases`; `about` says what is counted. `cells` are the same figure
-    for parts of the cases; `group` says which parts ("plan", "severity", "mechanism", ...).
+    """A figure: `value` with its 95 % interval over `cases`; `about` describes what is counted. `cells` are the same
+    figure for parts of the cases; `group` names the property by which they are divided ("plan", "severity",
+    "mechanism", ...).
     """
 
     name: str
@@ -78,7 +79,7 @@ class ScoreRow:
         return {True: "ok", False: "FAIL", None: "n.a."}[self.passes]
 
     def failing(self) -> tuple[ScoreRow, ...]:
-        """Return the cells that miss their bar, the most certain first."""
+        """Return the cells that miss their bar; those that miss it most significantly are first."""
         failed = [cell for cell in self.cells if cell.passes is False]
         return tuple(sorted(failed, key=lambda cell: (not cell.is_refuted, -cell.cases)))
 
@@ -190,7 +191,7 @@ def _within(value: float, other: float, bar: Bar) -> bool:
 FALSE_ALARMS: Bar = (0.035, 0.065)
 """Allowed range of a nominal 5 %."""
 DETECTION: Mapping[float, Bar] = {2.0: (0.80, None), 5.0: (0.98, None)}
-"""Bars by detection limits."""
+"""Bars of the detection rate, by size in detection limits."""
 
 Hidden = Mapping[str, Collection[str]]
 """The effects that a plan cannot show, by plan."""
@@ -316,16 +317,18 @@ FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
 UNKNOWN, FALSE_UNKNOWN = (0.90, None), (None, 0.10)
 APART, TOGETHER, REMOVED = (0.75, None), (0.55, None), (0.90, None)
 LARGE = 5.0
-"""Detection limits from which on a mechanism is easy, and at which a known one must not be called unknown."""
+"""Size in detection limits from which on a mechanism is easy to detect, and at which a known mechanism must not be
+reported as unknown.
+"""
 
 _OPEN = ("unexplained", "partly explained")
 _SURE = 3.0
-"""Standard deviations beyond chance."""
+"""Upper bar of the hits with permuted labels, in standard deviations above their mean by chance."""
 
 
 class Confusion(NamedTuple):
     """Active mechanisms (rows) against the first reported cause (columns), `counts` (rows, columns) of cases; `right`
-    says which columns are names of a row's mechanism.
+    marks the columns that are names of a row's mechanism.
     """
 
     truths: tuple[str, ...]
@@ -379,7 +382,7 @@ def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
 
 
 def are_both_named(answer: Answer) -> bool:
-    """Return whether every mechanism has a likely cause of its name at its sensors. One cause serves two mechanisms
+    """Return whether every mechanism has a likely cause of its name at its sensors. One cause counts for two mechanisms
     only if they have a name in common.
     """
     works, causes = answer.active, answer.named
@@ -485,7 +488,7 @@ def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
 
 
 def _control(singles: Sequence[Answer], seed: int) -> ScoreRow:
-    """Permute the labels of the cases: no more of them may be right than by chance."""
+    """Permute the labels of the cases: the number of right ones must not exceed chance."""
     labels = [frozenset(effect for work in answer.active for effect in work.resembles) for answer in singles]
     effects = {
         label: np.array([answer.said in label and not _takes_out(answer) for answer in singles])
@@ -663,8 +666,8 @@ def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
 
 
 def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
-    """Measure how much a wrong cause can close when no right one is available, unlike for wrong causes that were
-    reported.
+    """Return the mean share that causes claim to close if the right cause is withheld from the library. The figure for
+    reported wrong causes, in contrast, includes only cases in which the right cause was available.
     """
     claims = [
         max(answer.closed, 0.0) if isfinite(answer.closed) else 0.0

@@ -1,4 +1,5 @@
-"""The score of a validation run: its outcomes against the sealed truth, every figure with its interval and its bar.
+"""The score of a validation run: its outcomes are compared with the sealed truth, and every figure has an interval and
+a bar.
 
 ::
 
@@ -6,12 +7,12 @@
     print(format_text(figures))
 
 Random worlds are judged on all their plans, the fixed plans on the full one; the figures of the other plans are cells.
-Only lost cases are left out, and they are listed. Detection and causes exclude effects that a plan cannot show, which
-have a row of their own.
+Only lost cases are omitted, and they are listed. The figures of detection and causes exclude effects that a plan cannot
+show; these have a separate row.
 
-Each world has figures of its own. The loss of a figure from the emulated worlds, on which the diagnosis was developed,
-to another world is its transfer gap: it estimates the figure on data from elsewhere. So does a comparison of the cases
-with one chip or one experiment against all others.
+Each world has its own figures. The loss of a figure from the emulated worlds, on which the diagnosis was developed, to
+another world is its transfer gap. It estimates the loss on data from other sources; a comparison of the cases with one
+chip or one experiment with all others does the same.
 """
 
 from __future__ import annotations
@@ -69,7 +70,9 @@ class TransferRow:
 
     @property
     def lost(self) -> float:
-        """The loss in the worst of the other worlds: how much lower, or higher if the bar is an upper bound."""
+        """The loss in the worst of the other worlds: the decrease of the figure, its increase if the bar is an upper
+        bound, or its absolute change if the bar has both bounds.
+        """
         home, *others = self.rows.values()
         is_most = home.bar[0] is None and home.bar[1] is not None
         if None not in home.bar:  # a rate that is to be met from both sides
@@ -88,8 +91,8 @@ class SplitFigure(NamedTuple):
 
 
 def split_figures(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigure, ...]:
-    """Return false alarms, detection and causes with and without each chip and each experiment. For probabilities
-    fitted to the cases without it see `imuarray.validation.calibration`.
+    """Return false alarms, detection and causes with and without each chip and each experiment. For probabilities that
+    are fitted without a chip or an experiment see `imuarray.validation.calibration`.
     """
     shown = shown_singles(answers, hidden)
     detected = [answer for answer in shown if answer.is_detected()]
@@ -146,7 +149,7 @@ BARS_ELSEWHERE: Mapping[str, Mapping[str, Bar]] = MappingProxyType(
         "real": MappingProxyType({"right cause first, 5x and above": (0.80, None)}),
     }
 )
-"""The bars of the figures of other worlds; figures that are not listed have none there."""
+"""The bars of the figures in other worlds; figures that are not listed have no bar there."""
 
 TRANSFERRED = tuple(BARS_ELSEWHERE["foreign"])
 """Figures that are compared between worlds."""
@@ -233,7 +236,7 @@ def score(
     run: ValidationRun, *, hidden: Hidden = NOTHING, full: str = FULL, sensors: Collection[str] = (), seed: int = 0
 ) -> Figures:
     """Return the figures of a run. `hidden`: by plan, the effects that it cannot show; `sensors`: the sensors that
-    mechanisms can affect (default: all that any truth names), the only ones of a cause that count; `seed` draws
+    mechanisms can affect (default: all that any truth names); other sensors of a cause are ignored; `seed` draws
     intervals and shuffles labels.
     """
     worlds: dict[str, list[Answer]] = {}
@@ -345,7 +348,7 @@ def format_text(figures: Figures) -> str:
 
 
 def shown_rows(figures: Figures) -> tuple[ScoreRow, ...]:
-    """Return the rows of a table: all of them, or those with cases if no figure with a bar has any."""
+    """Return the rows of a table: all of them, or only those with cases if no figure with a bar has cases."""
     judged = any(row.passes is not None for row in figures.rows)
     return figures.rows if judged else tuple(row for row in figures.rows if row.cases)
 

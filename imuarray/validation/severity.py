@@ -6,18 +6,18 @@ commanded motion, tails, codes, repeated rows, times. `matched_statistic` is the
 
     T = sqrt(d' (C + A A')^-1 d)
 
-d the differences of one summary, C their noise covariance in this case, A what the nuisance quantities of the case
-explain: the signal-to-noise ratio of a detector that knows everything else (Neyman and Pearson), with T^2/2 the
-expected log-likelihood ratio. At T = `LIMIT` the effect is just detectable. If an effect shifts the random streams,
-part of the noise is drawn anew; its expected contribution, p for p summaries, is subtracted.
+d the differences of one summary, C their noise covariance in this case, A the columns that the nuisance quantities of
+the case explain. T is the signal-to-noise ratio of a detector that knows everything else (Neyman and Pearson), and
+T^2/2 is the expected log-likelihood ratio. At T = `LIMIT` the effect is just detectable. If an effect shifts the random
+streams, part of the noise is drawn anew; its expected contribution, p for p summaries, is subtracted.
 
-Nuisance quantities are those that data sheets leave to the part, with the tolerances that the diagnosis has for them
-(`imuarray.gap.model.populations`): bias, its slope with temperature, its scatter from log to log, the lag of the
-element's temperature, the response to force and rate, the noise, the cutoff of the filter, the delay of the signal and
-the position of an accelerometer. So are the attitude of the box, if no log says which axis was up and no other
-accelerometer shows it, and the place of the level within a code (Widrow and Kollar, Quantization Noise, 2008, ch. 4:
-the moments and the shares of codes of a rounded normal quantity vary with its mean by the characteristic function at
-multiples of 2 pi). The motion is known if the recordings have a track or another sensor of the quantity.
+Nuisance quantities are those that differ from part to part within the data sheet, with the tolerances that the
+diagnosis uses (`imuarray.gap.model.populations`): bias, its slope with temperature, its scatter from log to log, the
+lag of the element's temperature, the response to force and rate, the noise, the cutoff of the filter, the delay of the
+signal and the position of an accelerometer. The attitude of the box is also one, if no log states which axis was up and
+no other accelerometer shows it; so is the position of the level within a code (Widrow and Kollar, Quantization Noise,
+2008, ch. 4: the moments and the shares of codes of a rounded normal quantity vary with its mean by the characteristic
+function at multiples of 2 pi). The motion is known if the recordings have a track or another sensor of the quantity.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ from imuarray.simulate.model import noise_bandwidth_hz
 from imuarray.units import INERTIAL, SI_PER_UNIT
 
 LIMIT = 4.0
-"""The matched statistic at the detection limit: chance alone exceeds it once in 30000 (normal distribution, one side).
-Effects of the foreign world are measured in the same unit.
+"""The matched statistic at the detection limit: by chance it is exceeded once in 30000 cases (normal distribution, one
+side). Effects of the foreign world are measured in the same unit.
 """
 FURTHEST = 64.0
-"""Greatest severity, and the inverse of the smallest, in reference sizes."""
+"""Largest severity, and the inverse of the smallest one, in reference sizes."""
 PROBES = 4
 """Maximum number of recordings in a search, the last one included."""
 NEAR = 1.25
-"""Factor within which a size is accepted."""
+"""Factor from the wanted size within which a size is accepted."""
 
 _BLOCKS = 12
 _WINDOW = 64
@@ -85,8 +85,8 @@ class SeverityFit:
 
 def find_severity(statistic: Callable[[float], float], wanted: float, first: float) -> SeverityFit:
     """Search the severity of `wanted` limits in a case. `statistic` returns the matched statistic of a severity; the
-    search starts at `first` and follows a power law for at most `PROBES` recordings. limits is nan if the greatest
-    severity does not reach them.
+    search starts at `first` and follows a power law for at most `PROBES` recordings. If no recording comes within a
+    factor of two of the wanted size, `limits` is nan and the severity is the largest one tried.
     """
     trials: list[tuple[float, float]] = []
     severity = first
@@ -104,7 +104,9 @@ def find_severity(statistic: Callable[[float], float], wanted: float, first: flo
 
 
 def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> float:
-    """Return the next severity: by the power law of the last two, or in proportion; tenfold where nothing shows."""
+    """Return the next severity: by the power law through the last two, or in proportion; ten times the last one if the
+    effect is not visible.
+    """
     severity, reached = trials[-1]
     power = 1.0
     if reached < 0.05:
@@ -117,7 +119,7 @@ def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> floa
 
 def matched_statistic(plain: Sequence[Log], changed: Sequence[Log], has_track: bool = True) -> float:
     """Return the largest matched statistic of any sensor's axis. `plain` logs have a reference if anything moved;
-    `has_track` tells whether the diagnosis will see it too.
+    `has_track` states whether the diagnosis also receives it.
     """
     quantities = {name: sensor.quantity for log in plain for name, sensor in log.sensors.items()}
     inertial = [name for name, quantity in quantities.items() if quantity in INERTIAL]
@@ -144,7 +146,7 @@ class _LogPair:
         self.noise = _density(self.counts[:rows], self.quiet) * _louder(self.counts, self.new_counts)
         self.row_sigma = _row_sigma(self.counts[:rows], self.quiet)
         self.new_row_sigma = _row_sigma(self.new_counts[:rows], self.quiet)
-        # The noise of rounding is another one in any case; powers correlate by the square of what they share.
+        # Rounding noise always differs; the correlation of powers is the square of that of the noise.
         rounding = float((1 - (1 - 1 / (12 * self.row_sigma**2 + 1)) ** 2).max())
         self.anew = max(rounding, _share_drawn_anew(self.counts[:rows], self.new_counts[:rows], self.quiet))
         self.track = _track(plain)
@@ -165,7 +167,7 @@ class _LogPair:
         return force, rate, np.interp(self.time, times, degc)
 
     def rows_at_rest(self) -> Booleans:
-        """Return (n,) which rows lie in windows at rest."""
+        """Return (n,) whether each row lies in a window at rest."""
         at_rest = np.zeros(len(self.time), bool)
         at_rest[: len(self.quiet) * _WINDOW] = np.repeat(self.quiet, _WINDOW)
         return at_rest
@@ -181,8 +183,9 @@ class _LogPair:
 
 
 def _unknown_tilt(log: Log, sensor: SensorLog) -> float:
-    """Return one sigma of the angle of the box in rad, as far as it changes the readings of a sensor: none where other
-    accelerometers show the attitude too, any if no phase says which axis was up.
+    """Return one sigma of the unknown angle of the box in rad that changes the readings of a sensor: 0 for other
+    quantities and if other accelerometers also show the attitude; practically unbounded if no phase states which axis
+    was up.
     """
     forces = [other for other in log.sensors.values() if other.quantity == "specific_force"]
     if sensor.quantity != "specific_force" or len(forces) > 1:
@@ -227,13 +230,15 @@ def _windows(counts: Floats) -> Floats:
 
 
 def _quiet(counts: Floats) -> Booleans:
-    """Return (m,) the windows at rest: those about as quiet as the quietest half."""
+    """Return (m,) whether each window is at rest: its standard deviation is at most `_QUIET` times the lower quartile
+    of all windows.
+    """
     spread = _windows(counts).std(axis=1).max(axis=1) if len(counts) >= _WINDOW else np.zeros(0)
     return np.asarray(spread <= _QUIET * np.quantile(spread, 0.25) + 1e-9) if len(spread) else np.zeros(0, bool)
 
 
 def _density(counts: Floats, quiet: Booleans) -> Floats:
-    """Return (3,) the variance of a row as the mean of many rows scatters; at least that of rounding."""
+    """Return (3,) the variance per row that the mean of many rows scatters with; at least that of rounding."""
     spectra = _spectra(counts, quiet)
     low = spectra[:, 2:8].mean(axis=(0, 1)) if len(spectra) else counts.var(axis=0) if len(counts) else np.ones(3)
     return np.maximum(low, 1 / 12)
@@ -246,7 +251,7 @@ def _louder(counts: Floats, new_counts: Floats) -> Floats:
 
 
 def _leap(counts: Floats) -> Floats:
-    """Return (3,) the typical second difference of the readings; that of rounding at least."""
+    """Return (3,) the typical second difference of the readings; at least that of rounding."""
     leaps = np.abs(np.diff(counts, 2, axis=0))
     return np.maximum(np.median(leaps, axis=0) / MEDIAN_ABSOLUTE, 0.5) if len(leaps) else np.full(3, 0.5)
 
@@ -283,7 +288,7 @@ def _of_sensor(pairs: Sequence[_LogPair], is_motion_known: bool) -> Iterator[flo
 
 
 def _score(difference: Floats, variance: Floats, explained: Floats, anew: float) -> float:
-    """Return T of p differences with these noise variances and columns (p, k) of what is explained, one sigma each."""
+    """Return T of p differences with these noise variances. Columns (p, k) are one sigma of explained changes."""
     count = explained.shape[1]
     weighed = np.vstack([explained / np.sqrt(variance)[:, None], np.eye(count)])
     d = np.concatenate([difference / np.sqrt(variance), np.zeros(count)])
@@ -294,8 +299,8 @@ def _score(difference: Floats, variance: Floats, explained: Floats, anew: float)
 
 class _Block(NamedTuple):
     """Means over one of the blocks of log `number`: `difference` (3,) in counts with its noise `variance` (3,); force
-    and rate (3,) that the axes respond to, their `change` (3,) per s in the sensor's unit, temperature and by how much
-    that of the element lags, in degC; one sigma of the box's unknown `tilt` in rad.
+    and rate (3,) to which the axes respond, their `change` (3,) per s in the sensor's unit, temperature and lag of the
+    element's temperature in degC; one sigma of the box's unknown `tilt` in rad.
     """
 
     number: int
@@ -310,8 +315,9 @@ class _Block(NamedTuple):
 
 
 def _levels(pairs: Sequence[_LogPair], anew: float, is_motion_known: bool) -> Iterator[float]:
-    """Yield the statistic of block means over all logs, less bias, its slope with temperature and the lag of that, a
-    part's response and delay, and an unknown attitude. If the motion is not known, rows in motion are left out.
+    """Yield the statistic of block means over all logs, without the part that bias, its slope with temperature and the
+    thermal lag, response and delay of a part, and an unknown attitude explain. If the motion is not known, rows in
+    motion are omitted.
     """
     blocks = [block for number, pair in enumerate(pairs) for block in _blocks(pair, number, is_motion_known)]
     if not blocks:
@@ -343,7 +349,7 @@ def _blocks(pair: _LogPair, number: int, is_motion_known: bool) -> Iterator[_Blo
     lag_degc = pair.lagging_degc(degc) - degc
     is_accelerometer = pair.header.unit == "g"
     commanded = force if is_accelerometer else rate
-    own_readings = pair.counts / pair.sensor.sensitivity  # an error of scale multiplies vibrations too
+    own_readings = pair.counts / pair.sensor.sensitivity  # a scale factor error also multiplies vibrations
     felt, turned = (own_readings, rate) if is_accelerometer else (force, own_readings)
     at_rest = np.ones(len(pair.time), bool) if is_motion_known else pair.rows_at_rest()
     new_at_rest = np.interp(pair.new_time, pair.time, at_rest.astype(float)) > 0.5
@@ -368,8 +374,8 @@ def _blocks(pair: _LogPair, number: int, is_motion_known: bool) -> Iterator[_Blo
 
 
 def _leans(blocks: Sequence[_Block], axis: int) -> Floats:
-    """Return (p, k) what an unknown attitude changes in the readings of an axis, one sigma each, in g: the force on a
-    block along the two other axes times the angle, common to the blocks of a log in one attitude.
+    """Return (p, k) the changes of the readings of an axis by an unknown attitude, one sigma each, in g: the force on a
+    block along the two other axes times the angle, which is common to the blocks of a log in one attitude.
     """
     poses = [(block.number, *np.round(block.force, 1).tolist()) for block in blocks]
     names = list(dict.fromkeys(poses))
@@ -391,8 +397,8 @@ def _responses(header: SensorHeader, axis: int) -> list[float]:
 
 
 def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of the log spectrum at rest in each log, less the noise power, another cutoff and the noise
-    of rounding.
+    """Yield the statistic of the logarithmic spectrum at rest over all logs, without the part that the noise power, a
+    change of the cutoff and the noise of rounding explain.
     """
     changes, filters, roundings = list[tuple[Floats, float]](), list[Floats](), list[Floats]()
     for pair in pairs:
@@ -416,8 +422,8 @@ def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
 
 
 def _cutoff_slope(pair: _LogPair, bins: int) -> Floats:
-    """Return (bins,) the change of the log spectrum by a relative change of the cutoff of one pole, from the first
-    frequency above zero to half the rate of the rows.
+    """Return (bins,) the change of the logarithmic spectrum for a relative change of the cutoff of one pole, from the
+    first frequency above zero to half the rate of the rows.
     """
     cutoff_hz = noise_bandwidth_hz(pair.header)
     if cutoff_hz <= 0:
@@ -443,7 +449,7 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
         interpolated = np.stack([np.interp(pair.time, pair.new_time, axis) for axis in pair.new_counts.T], axis=1)
         differences.append(interpolated - pair.counts)
         weights.append(np.repeat(pair.noise[None], len(force), axis=0))
-    # Less the means of blocks: these are levels, with biases that follow the temperature.
+    # Block means are subtracted: levels and their drift with temperature have a statistic of their own.
     design, difference = (
         np.vstack([block - block.mean(axis=0) for log in logs for block in np.array_split(log, _BLOCKS) if len(block)])
         for logs in (designs, differences)
@@ -470,8 +476,8 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
 
 
 def _displacements(header: SensorHeader, axis: int) -> Floats:
-    """Return (21, 3) what a displacement along each axis (one sigma) adds to an axis of an accelerometer, in g by
-    column of the design of `_motion_responses`.
+    """Return (21, 3) the response that a displacement along each axis (one sigma) adds to an axis of an accelerometer,
+    in g, for each column of the design of `_motion_responses`.
     """
     added = np.zeros((_COLUMNS, 3))
     if header.unit == "g":
@@ -481,8 +487,8 @@ def _displacements(header: SensorHeader, axis: int) -> Floats:
 
 
 def _delay_s(header: SensorHeader) -> float:
-    """Return one sigma of the delay of a sensor's signal in s: that of its filter, by the tolerance of its cutoff, and
-    a sample of the chip.
+    """Return one sigma of the delay of a sensor's signal in s: that of its filter, from the tolerance of its cutoff,
+    plus one sample of the chip.
     """
     cutoff_hz = noise_bandwidth_hz(header)
     filter_s = CUTOFF_TOLERANCE * two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
@@ -504,16 +510,17 @@ def _events(pair: _LogPair, anew: float) -> Iterator[float]:
     for step in (2, 4, 8):
         shares = [[(counts % step == rest).mean(axis=0) for rest in range(step)] for counts in (before, after)]
         change = np.abs(np.array(shares[1]) - np.array(shares[0]))
-        # What another level changes, at the smaller noise.
+        # The change by a different level, at the smaller noise.
         level = 2 / step * _rounding_share(np.minimum(pair.row_sigma, pair.new_row_sigma), step).max()
         if min(_spread(before)) > 0.3 * step:
-            # Any effect moves each row to another code.
+            # Any effect changes the code of each row.
             yield float(change.max() / sqrt(2 / (len(before) * step) + level**2))
 
 
 def _repetition_statistic(pair: _LogPair, anew: float) -> float:
-    """Compare how many rows repeat the codes of the row before: less what the noise, of which white noise repeats the
-    codes of three axes with the inverse of the third power, and another level within a code change.
+    """Compare the numbers of rows that repeat the codes of the row before, allowing for changes by the noise and by a
+    different level within a code. With white noise, the codes of three axes repeat in inverse proportion to the product
+    of the three standard deviations.
     """
     before, after = (int((np.diff(counts, axis=0) == 0).all(axis=1).sum()) for counts in (pair.counts, pair.new_counts))
     expected = before * float(np.clip(np.prod(pair.row_sigma / pair.new_row_sigma), 0.1, 10.0))
@@ -523,7 +530,7 @@ def _repetition_statistic(pair: _LogPair, anew: float) -> float:
 
 
 def _row_sigma(counts: Floats, quiet: Booleans) -> Floats:
-    """Return (3,) the standard deviation of the white noise of a row at rest; a fifth of a code at least."""
+    """Return (3,) the standard deviation of the white noise of a row at rest; at least a fifth of a code."""
     count = len(quiet) * _WINDOW
     at_rest = counts[:count].reshape(len(quiet), _WINDOW, 3)[quiet] if count else counts[None]
     leaps = np.diff(at_rest, 2, axis=1).reshape(-1, 3)
@@ -535,14 +542,14 @@ def _row_sigma(counts: Floats, quiet: Booleans) -> Floats:
 
 def _rounding_share(row_sigma: Floats, step: int) -> Floats:
     """Return (3,) half the relative amplitude at which the share of codes of a residue class modulo `step` varies with
-    the level of a rounded normal quantity: its first harmonic. Over pi, for a step of 1, it is the amplitude of the
-    error of the mean code.
+    the level of a rounded normal quantity: its first harmonic. Divided by pi, for a step of 1, it is the amplitude of
+    the error of the mean code.
     """
     return np.asarray(np.exp(-2 * (pi * row_sigma / step) ** 2))
 
 
 def _far(counts: Floats, row_sigma: Floats) -> int:
-    """Return the number of rows that leap by more than `_FAR` standard deviations of their own noise."""
+    """Return the number of second differences that exceed `_FAR` standard deviations of their own noise."""
     threshold = _FAR * np.maximum(_leap(counts), sqrt(6) * row_sigma)
     return int((np.abs(np.diff(counts, 2, axis=0)) > threshold).any(axis=1).sum())
 

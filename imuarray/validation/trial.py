@@ -1,5 +1,5 @@
-"""One case from its recording to its outcome: recorded by the generator, diagnosed blindly, then once more by an
-oracle.
+"""One case from its recording to its outcome: the generator records it, it is diagnosed blindly and then once more by
+an oracle.
 
 The diagnosis receives the paths of the logs, the effects that are withheld from its library and the model. Only the
 oracle receives the active mechanisms; its library contains nothing else.
@@ -43,7 +43,9 @@ _WORST = 20
 
 
 class CaseRecording(NamedTuple):
-    """A case with everything that was determined while it was recorded, the paths of its logs, and the truth."""
+    """A case completed with the values that were determined while it was recorded, the paths of its logs, and the
+    truth.
+    """
 
     case: Case
     logs: list[Path]
@@ -113,12 +115,12 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
 
 
 def _with_severity(put: Put, fit: SeverityFit) -> Put:
-    """Return the placement with the severity; its nominal limits are kept if they were reached."""
+    """Return the placement with this severity; it keeps its nominal limits if they were reached."""
     return replace(put, severity=fit.severity, limits=put.limits if math.isfinite(fit.limits) else math.nan)
 
 
 def leave_reference_out(path: Path) -> None:
-    """Remove the reference and the truth from a log, as if the commanded motion had not been noted."""
+    """Remove the reference and the truth from a log, as if the commanded motion had not been recorded."""
     with h5py.File(path, "r+") as file:
         for name in ("reference", "truth"):
             if name in file:
@@ -153,7 +155,7 @@ def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str
 
 def frozen_thresholds() -> dict[str, Any]:
     """Return the thresholds of the diagnosis by name, with the version of the software. They are recorded when a run
-    begins, so that none is changed during it.
+    begins, so that a change during the run is noticed.
     """
     return {
         "significance level of a gap": assessment.LEVEL,

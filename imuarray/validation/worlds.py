@@ -7,8 +7,8 @@
 
 The main quantities (number of sensors, chips, rates, experiments, labels, timing, ...) are drawn by a Kronecker
 sequence over consecutive seeds, with one irrational step per quantity, so that any short run of seeds covers their
-ranges; the rest is drawn from streams of its own. Everything is within what data sheets, rooms and programs allow: in a
-case without a mechanism nothing is wrong.
+ranges; each other quantity is drawn from a separate random stream. Everything is within the limits of data sheets,
+rooms and programs: in a case without a mechanism there is no fault.
 """
 
 from __future__ import annotations
@@ -28,16 +28,18 @@ from imuarray.chips import CHIPS
 Table = dict[str, Any]
 
 MOST_ROWS = 30_000
-"""Maximum number of rows of all logs and sensors of a case: they are compared with forty replicates in some seconds of
-one processor; the search for causes takes several times that.
+"""Maximum number of rows of all logs and sensors of a case: a comparison with forty replicates takes a few seconds on
+one processor, the search for causes several times as long.
 """
 MOST_SECONDS = 600.0
-"""Maximum duration of all logs of a case."""
+"""Maximum duration of all logs of a case, in s."""
 MOST_READINGS_PER_S = 2500.0
-"""Maximum readings of all sensors: what a bus of 400 kHz carries (0.25 ms a triad), with a third to spare."""
+"""Maximum number of readings of all sensors per second: the capacity of a bus at 400 kHz (0.25 ms for a triad) with a
+reserve of a third.
+"""
 RATES_HZ = (20.0, 25.0, 32.0, 50.0, 64.0, 100.0, 128.0, 200.0, 250.0, 400.0, 500.0, 1000.0)
 KINDS = ("static", "tumble", "heating", "turn-on", "motion")
-"""The experiments, in the order in which they are done."""
+"""The experiments, in the order in which they are recorded."""
 
 QUANTITIES = (
     *("sensors", "chips", "twins", "rate", "rates", "plan", "poses", "heating", "labels", "recorder", "gaps"),
@@ -72,25 +74,25 @@ _AXES = tuple(
 """The 24 right-handed ways to mount a chip."""
 
 TILT_DEG = 1.0
-"""Tilt of a table (one sigma), together with the squareness of the box."""
+"""Tilt of a table together with the error of squareness of the box, in degrees (one sigma)."""
 HAND_DEG = 20.0
-"""Angle between a box set down by hand and the nearest face."""
+"""Approximate angle in degrees between a box that is set down by hand and the nearest face."""
 DRIFT_DEGC_PER_H = 2.0
-"""Greatest temperature drift of a room in either direction."""
+"""Maximum temperature drift of a room, in degC per hour, in either direction."""
 DRAUGHT_DEGC = (0.03, 0.4)
-"""Temperature variation (rms) of the box in a draughty room."""
+"""Temperature variation (rms) of the box in a draughty room, in degC: least and greatest."""
 VIBRATION_G = (2e-5, 5e-4)
-"""Peak vibration of a table by a fridge or a fan: from imperceptible to just perceptible by hand."""
+"""Peak vibration of a table by a fridge or a fan: from not perceptible to just perceptible by hand."""
 VIBRATION_DPS_PER_G = 20.0
 BUSY_SHARE, BUSY_MS = (0.005, 0.03), (0.05, 0.4)
-"""Share of the transactions that wait on a busy board, and their mean wait."""
+"""Share of the transactions that wait on a busy board, and their mean wait in ms: least and greatest of each."""
 STALLS_PER_MIN, STALL_S = (0.5, 2.0), (0.2, 2.0)
-"""Rate and duration of the stalls of a recorder."""
+"""Stalls of a recorder per minute, and their duration in s: least and greatest of each."""
 
 _LEAST_S: Mapping[str, float] = MappingProxyType(
     {"static": 20.0, "tumble": 42.0, "heating": 45.0, "turn-on": 20.0, "motion": 20.0}
 )
-"""The shortest useful duration of an experiment."""
+"""The shortest useful duration of each experiment, in s."""
 _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "static": (40.0, 300.0),
@@ -100,7 +102,7 @@ _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
         "motion": (25.0, 80.0),
     }
 )
-"""The usual durations, where the limits of time and rows allow them."""
+"""The usual durations in s, if the limits of time and rows allow them."""
 
 
 class WorldSensor(NamedTuple):
@@ -158,8 +160,8 @@ class World:
         return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
 
     def twins(self) -> list[tuple[str, str]]:
-        """Return the pairs of sensors of one chip and range that are mounted differently: others can be exchanged
-        without a trace.
+        """Return the pairs of sensors of one chip and range that are mounted differently: two that are mounted alike
+        can be exchanged without any change of the readings.
         """
         pairs = itertools.combinations([(name, self.sensors[name]) for name in self.inertial], 2)
         return [
@@ -243,12 +245,12 @@ def draw_world(seed: int) -> World:
 
 
 def _stream(seed: int, key: str) -> np.random.Generator:
-    """Return a generator of random numbers for everything that has a name."""
+    """Return a separate random generator for each `key`."""
     return np.random.default_rng([seed, crc32(key.encode())])
 
 
 def _choice(even: float, shares: Mapping[str, float]) -> str:
-    """Choose a name by its share of 1."""
+    """Choose a name according to its probability, by the number `even` in [0, 1)."""
     reached = 0.0
     for name, share in shares.items():
         reached += share
@@ -270,11 +272,11 @@ def _kinds(even: float) -> tuple[str, ...]:
 
 
 def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: float) -> list[Table]:
-    """Return the entries of the array's TOML; no more than can be read for `least_s`."""
+    """Return the entries of the array's TOML; their number is limited so that they can be read for `least_s`."""
     few = {"1": 0.15, "2": 0.15, "3": 0.2, "4": 0.15, "6": 0.2, "9": 0.1, "16": 0.05}
     most = int(_choice(even["sensors"], few))
     count = int(random.integers({"6": 5, "9": 7, "16": 10}.get(str(most), most), most + 1))
-    count = min(count, int(MOST_ROWS / RATES_HZ[0] / least_s) - 2)  # beside them a barometer and a magnetometer
+    count = min(count, int(MOST_ROWS / RATES_HZ[0] / least_s) - 2)  # plus barometer and magnetometer
     kinds = 1 + int(even["chips"] * 3)
     mix = random.permutation(list(_ADDRESSES))[:kinds].tolist()
     slots = {chip: [(channel, address) for channel in range(_CHANNELS) for address in _ADDRESSES[chip]] for chip in mix}
@@ -311,12 +313,12 @@ def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: fl
 
 
 def _range(chip: str, random: np.random.Generator) -> float:
-    """Draw a range that gravity does not clip, whatever the part's scale and bias."""
+    """Draw a range in which gravity is not clipped at any scale factor and bias of the part."""
     return float(random.choice([limit for limit in CHIPS[chip].sensitivity if limit >= 1.5]))
 
 
 def _filter(chip: str, random: np.random.Generator) -> Table:
-    """Draw the data rate and the filter, as far as they can be set."""
+    """Draw the data rate and the filter, if the chip has these settings."""
     spec, settings = CHIPS[chip], dict[str, Any]()
     if spec.rates_hz:
         settings["rate_hz"] = float(random.choice([rate_hz for rate_hz in spec.rates_hz if 50 <= rate_hz <= 1600]))
@@ -328,8 +330,8 @@ def _filter(chip: str, random: np.random.Generator) -> Table:
 def _rates(
     even: Mapping[str, float], sensors: list[Table], kinds: Sequence[str], random: np.random.Generator
 ) -> tuple[float, dict[str, float]]:
-    """Return the frame rate, the highest that the draw, the bus and the budget of rows allow, and the reading rate of
-    each sensor. In a third of the worlds some accelerometers and gyroscopes have all their samples fetched from the
+    """Return the frame rate, which is the highest that the draw, the bus and the budget of rows allow, and the reading
+    rate of each sensor. In a third of the worlds, all samples of some accelerometers and gyroscopes are read from the
     chip's queue.
     """
     wanted = RATES_HZ[int(even["rate"] * len(RATES_HZ))]
@@ -377,7 +379,7 @@ def _lengths(
 
 
 def _leaning(face: str, degrees: float, random: np.random.Generator) -> list[float]:
-    """Return a unit vector that is about this angle away from a face's normal."""
+    """Return a unit vector at about this angle from a face's normal."""
     up = np.array(_FACES[face]) + math.radians(degrees) * random.standard_normal(3) / math.sqrt(2)
     return [float(part) for part in up / np.linalg.norm(up)]
 
@@ -475,7 +477,7 @@ def _motion_limits(sensors: Sequence[Table]) -> Limits:
 
 
 def _motion(seconds: float, random: np.random.Generator, even: Mapping[str, float], limits: Limits) -> list[Table]:
-    """Return rest, one to three motions of rocking and shaking about random axes, and rest."""
+    """Return a session of rest, one to three motions of rocking and shaking about random axes, and rest."""
     still_s = max(4.0, round(0.12 * seconds, 2))
     count = int(random.integers(1, 4))
     edges = np.linspace(still_s, seconds - still_s, count + 1).tolist()
