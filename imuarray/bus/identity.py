@@ -3,8 +3,8 @@
 /dev/i2c-3 and /dev/ttyACM0 are numbers in the order of appearance (LNX-02): an adapter that was unplugged and plugged
 in again may have another one, and another adapter may have the old one. What does not change is the USB device (vendor,
 product, serial number), the port that it is plugged into and its interface; of a built-in adapter the place of its
-parent device; of a channel that the kernel drives the multiplexer's address, the channel and the adapter before it
-(LNX-21).
+parent device; of a channel that the kernel drives the multiplexer's address, the channel and the adapter in front of
+it (LNX-21).
 
 While a descriptor of an I2C adapter is open the kernel can't finish its removal (`i2c_del_adapter` waits for the last
 reference), and the USB port stays blocked. The adapter's entry in sysfs is removed before that wait, so the removal is
@@ -30,7 +30,8 @@ _NUMBER = re.compile(r"\b\d+\b")
 @dataclass(frozen=True)
 class BusIdentity:
     """`device` is the device's own description, `part` the adapter or port of it, `place` the port that it is plugged
-    into ("" for a built-in device).
+    `device` is the description of the device itself, `part` its adapter or port, `place` the port into which it is
+    plugged ("" for a built-in device).
     """
 
     device: str
@@ -49,8 +50,8 @@ class BusIdentity:
 
 @dataclass(frozen=True)
 class Entry:
-    """One device file's entry in sysfs: its name, its `mark` (inode), which no later entry of that name shares, and its
-    identity.
+    """The entry of one device file in sysfs: its name, its `mark` (inode), which no later entry of that name has, and
+    its identity.
     """
 
     name: str
@@ -107,7 +108,7 @@ def search(wanted: BusIdentity, listed: Mapping[str, Entry], known: Mapping[str,
     """Return the name under which a removed device has reappeared; None if it has not.
 
     `known` are names and marks of the entries that existed without it. A device at another port is accepted only if no
-    other of its kind was present (`alone`), and only if there is one: two can't be distinguished.
+    other device of its kind was present (`alone`), and if exactly one has appeared: two can't be distinguished.
     """
     new = [entry for entry in listed.values() if known.get(entry.name) != entry.mark]
     for entry in new:

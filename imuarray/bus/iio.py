@@ -148,10 +148,10 @@ def _values(stored: npt.NDArray[Any], element: ScanElement) -> npt.NDArray[Any]:
 DEVICES = "sys/bus/iio/devices"
 DEVICE = re.compile(r"iio:device[0-9]+", re.ASCII)
 LONGEST_TEXT = 4096
-"""Bytes of an attribute: at most a page of sysfs."""
+"""Largest number of bytes of an attribute: a page of sysfs."""
 MOST_ELEMENTS = 256
 MOST_BYTES = 1 << 20
-"""Bytes of scans that one call of `scans` reads; the next call reads the rest."""
+"""Largest number of bytes of scans that one call of `scans` reads; the next call reads the rest."""
 
 
 class IioDevice:

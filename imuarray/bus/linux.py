@@ -34,14 +34,15 @@ from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, SensorError
 
 MAX_MESSAGE = 8192
-"""Bytes that one message may carry (LNX-05)."""
+"""Largest number of bytes of one message (LNX-05)."""
 KEPT = 256
-"""Transactions whose structures are kept; an array of a dozen chips uses about as many dozens."""
+"""Number of transactions whose structures are kept; an array of a dozen chips uses about a dozen for each."""
 TIMEOUT_S = 0.03
-"""The kernel's default is 1 s for a transfer: a hung bus would stop the log for that time, for each sensor."""
+"""Time-out of a transfer in s. With the kernel's default of 1 s a hung bus would stop the log for 1 s for each sensor.
+"""
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
 SEARCH_NS = 200_000_000
-"""The interval between two searches for an adapter that was removed: each lists the adapters of the machine."""
+"""Interval in ns between two searches for a removed adapter; a search lists all adapters of the machine."""
 
 
 class LinuxBus:
@@ -167,9 +168,9 @@ class LinuxBus:
             raise self._removed() from error
 
     def claim(self, address: int, path: str | None = None) -> None:
-        """Raise SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`): two
-        drivers of one chip overwrite each other's settings, and two of a multiplexer reroute each other's transactions
-        (LNX-24).
+        """Raise SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`). Two
+        drivers of one chip overwrite each other's settings, and two drivers of a multiplexer redirect each other's
+        transactions (LNX-24).
         """
         bus = self if path is None else self._other(path)
         if bus._file < 0:

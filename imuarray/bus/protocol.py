@@ -25,7 +25,7 @@ class SpiPort(Protocol):
     """One chip select of an SPI controller."""
 
     def exchange(self, sent: bytes) -> bytes:
-        """Send bytes while the chip is selected; return as many received bytes. OSError as Linux."""
+        """Send bytes while the chip is selected; return the same number of received bytes. OSError as Linux."""
 
 
 class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):

@@ -29,7 +29,7 @@ class ReplayClock:
         self._seen_ns: deque[int] = deque()
 
     def now_ns(self) -> int:
-        """Return the time that the program read then; otherwise the end of the last transaction or sleep."""
+        """Return the recorded reading of the clock; without one, the end of the last transaction or sleep."""
         if self._seen_ns:
             self._now_ns = max(self._now_ns, self._seen_ns.popleft())
         return self._now_ns
@@ -75,7 +75,7 @@ class ReplayBus:
             self.claim = self._claim
 
     def _read(self) -> dict[str, Any] | None:
-        """Return the next line after an epoch, which is noted; None after the last line, empty for a line that is no
+        """Return the next line after an epoch, which is noted; None after the last line, empty for a line that is not a
         transaction.
         """
         while text := self._file.readline(LONGEST_LINE):
@@ -97,7 +97,7 @@ class ReplayBus:
         return self._play("", address, write, read)
 
     def stopping(self, stopped: Callable[[], bool]) -> Callable[[], bool]:
-        """Return a function that is True if `stopped` is, or if the recorded program was stopped at that place."""
+        """Return a function that is True if `stopped` is, or if the recorded program was stopped at this line."""
 
         def asked() -> bool:
             self._asked += 1
@@ -158,7 +158,7 @@ class ReplayBus:
         return recorded
 
     def _go_on(self, end_ns: int) -> None:
-        """Advance to the next line; the last one ended then."""
+        """Advance to the next line; the previous transaction ended at `end_ns`."""
         self._asked = 0
         try:
             self._next = self._read()

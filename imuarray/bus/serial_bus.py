@@ -30,11 +30,11 @@ from imuarray.errors import BusUrlError
 SPI_CONTROLLER = "/dev/spidev0"
 """The name of the microcontroller's controller in a configuration, as on a computer with one controller."""
 NAP_S = 0.02
-"""Pause between two reads of a stream: the bytes that arrive in it are read at once."""
+"""Pause in s between two reads of a stream; the bytes that arrive during it are read at once."""
 SEARCH_NS = 1_000_000_000
-"""The interval between two searches for a microcontroller that was removed, while single transactions are requested."""
+"""Interval in ns between two searches for a removed microcontroller while single transactions are requested."""
 BUSY_BYTES = 8192
-"""If more bytes than these arrived in a pause, the next one is omitted: the system's own buffers are no larger."""
+"""Number of bytes received during a pause above which the next pause is omitted: the system's buffers hold no more."""
 
 
 class Samples(NamedTuple):
@@ -184,9 +184,10 @@ class SerialBus:
         self._do(link.STOP, b"", "stop")
 
     def receive(self) -> Mapping[int, Samples]:
-        """Return all data that arrived since the last call, by number of the list; while streaming after a pause, when
-        a frame has arrived or a short time has passed, without delay if more data arrive than can be processed.
-        LinkError if the port was removed.
+        """Return all data that arrived since the last call, by number of the list. LinkError if the port was removed.
+
+        While streaming, wait for a pause and then until a frame has arrived or a short time has passed; do not wait if
+        more data arrive than can be processed.
         """
         if self.streaming:
             if not self._behind:

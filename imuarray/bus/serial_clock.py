@@ -20,20 +20,22 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 
 MAX_DRIFT = 0.01
-"""Ceramic resonators are accurate to half a percent; a fit with more than twice that error has wrong data."""
+"""Largest relative drift of a clock: ceramic resonators are accurate to half a percent, and a fit with more than twice
+that error has wrong data.
+"""
 BLOCK_NS = 100_000_000
-"""Length of a block of which only the earliest arrival is kept."""
+"""Duration in ns of a block; only the earliest arrival of a block is kept."""
 WINDOW_BLOCKS = 600
-"""At least a minute: long compared with the jitter of a delivery, short compared with the warming up of an
-oscillator.
+"""Number of blocks in the window, at least a minute: long compared with the jitter of a delivery, short compared with
+the warming up of an oscillator.
 """
 MIN_SPAN_NS = 200_000_000
-"""A shorter span has no information on the drift."""
+"""Least span of the data in ns for an estimate of the drift; a shorter span has no information on it."""
 REFIT_NS = 1_000_000_000
 SLEW_NS = 2_000_000_000
-"""Time over which a better fit is approached, instead of at once."""
+"""Time in ns over which converted times approach a new fit, instead of a step."""
 RECENT_BLOCKS = 64
-"""Interval whose quickest delivery determines the present count of the microcontroller."""
+"""Number of latest blocks whose quickest delivery determines the present count of the microcontroller."""
 
 
 def nearest(values: Times, modulus: int, expected: int) -> Times:
@@ -64,7 +66,7 @@ class ClockFit:
         self._block_ns = 0  # the start of the newest block
         self._fitted_ns: int | None = None
         self._line = (0, 0.0)  # a time of the microcontroller, and that of the host
-        self._slew: tuple[int, float] = 0, 0.0  # the microcontroller's time from which on a correction is applied
+        self._slew: tuple[int, float] = 0, 0.0  # start (microcontroller's time) and size of a decaying correction
         self._given_ns: int | None = None
         self._above_ns = 0.0  # median distance of the earliest arrivals of the blocks from the line
 
@@ -131,7 +133,7 @@ class ClockFit:
         return host + round(here_ns) - self.latency_ns
 
     def _fit(self) -> None:
-        """Return the line below all points, approached from the end of the previous one."""
+        """Fit the line below all points; converted times approach it from the end of the previous line."""
         given = None if self._given_ns is None else np.array([self._given_ns])
         before = None if given is None else int(self._mapped(given)[0])
         at_ns, base_ns = self._sent_ns[0], self._arrived_ns[0]

@@ -11,7 +11,8 @@ Both sides send frames; every number is little-endian::
     11      n       payload
     11 + n  4       CRC-32 (zlib's and Ethernet's) of bytes 2 to 10 + n
 
-A receiver of other bytes searches for the next sync one byte further: an intact frame is found between any other bytes.
+A receiver that finds no valid frame at a sync continues its search one byte later, so that it detects an intact frame
+among any other bytes.
 These are the commands of the host, and the payload of the answer, which has bit 7 of the kind set and the command's
 sequence::
 
@@ -35,7 +36,7 @@ acknowledge is tried a second time. STOP deletes all lists. After each list the 
 
 `age` is the time in microseconds from the START of the request to `time`, FFFD for any longer time; FFFF means that no
 chip acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that is late omits
-frames, and one whose line is full omits DATA; their numbers are missing.
+frames, and one with a full line omits DATA; their numbers are missing.
 
 A host rejects DATA that can't be of the running stream (`imuarray.bus.serial_session`).
 
@@ -77,7 +78,7 @@ VERSION = 1
 SYNC = b"\xa5\x5a"
 MAX_PAYLOAD = 1024
 MAX_LIST_READ = 255
-"""Most bytes that one request of a list reads."""
+"""Largest number of bytes that one request of a list reads."""
 HELLO, TRANSFER, LIST, START, STOP = 0x01, 0x02, 0x03, 0x04, 0x05
 RESEND, STATUS, SELECT = 0x06, 0x07, 0x08
 CAN_RESEND, CAN_STATUS, CAN_COUNT = 0x01, 0x02, 0x04
@@ -127,7 +128,7 @@ class Frame(NamedTuple):
 
 class Capacity(NamedTuple):
     """The answer to HELLO: the protocol version, the number of lists, and the bytes of requests that fit; then what
-    older firmware does not tell: CAN_RESEND, CAN_STATUS, CAN_COUNT, chip selects of SPI, bytes of DATA that are kept.
+    older firmware does not report: CAN_RESEND, CAN_STATUS, CAN_COUNT, chip selects of SPI, bytes of DATA that are kept.
     """
 
     version: int
@@ -139,9 +140,9 @@ class Capacity(NamedTuple):
 
 
 class FirmwareCounts(NamedTuple):
-    """The answer to STATUS: whether this boot followed a reset by the watchdog, microseconds since it, then DATA sent,
-    frames left out for want of time, DATA for which the line had no room, DATA overwritten before it was acknowledged,
-    requests of lists that failed, bytes received that belonged to no frame.
+    """The answer to STATUS: whether this boot followed a reset by the watchdog, microseconds since the boot, then the
+    numbers of DATA sent, frames omitted for lack of time, DATA for which the line had no room, DATA overwritten before
+    it was acknowledged, requests of lists that failed, and received bytes that belonged to no frame.
     """
 
     watchdog_reset: bool
@@ -167,7 +168,7 @@ class CountRule:
     is_of_packets: bool = False
 
     def packets(self, answer: bytes) -> int:
-        """Return the number of whole packets that the answer before counts."""
+        """Return the number of whole packets that is counted in `answer`, the answer to the previous request."""
         order: Literal["big", "little"] = "big" if self.is_big_endian else "little"
         count = int.from_bytes(answer[self.offset : self.offset + 2], order) & self.mask
         return count if self.is_of_packets else count // self.packet
@@ -175,7 +176,7 @@ class CountRule:
 
 @dataclass(frozen=True)
 class Request:
-    """One transaction of a list, which reads `read` bytes, or with `rule` at most so many."""
+    """One transaction of a list, which reads `read` bytes, or with `rule` at most `read` bytes."""
 
     address: int
     write: bytes
@@ -221,8 +222,8 @@ def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> 
 
 
 class Deframer:
-    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes that belonged to
-    none.
+    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes that belonged to no
+    frame.
     """
 
     def __init__(self) -> None:
@@ -230,8 +231,8 @@ class Deframer:
         self._waiting = b""
 
     def feed(self, data: bytes, *, final: bool = False) -> list[Frame]:
-        """Return the frames that `data` completes; never raises. `final`: nothing follows, so that an incomplete frame
-        is none.
+        """Return the frames that `data` completes; never raises. With `final` no data follow, and the bytes of an
+        incomplete frame are skipped.
         """
         buffer = self._waiting + data
         frames: list[Frame] = []

@@ -21,7 +21,7 @@ from imuarray.errors import BusUrlError
 BAUD = 115_200
 """The baud rate of Arduino's examples; a native USB port ignores it."""
 READ_S = 0.02
-"""Longest wait for one byte."""
+"""Longest wait for one byte, in s."""
 WRITE_S = 0.25
 
 

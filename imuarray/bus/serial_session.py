@@ -11,18 +11,18 @@ frame with a valid checksum may still be old, repeated, out of order or of an ea
 driver or a hub may send a buffer twice, a buffer may survive a reset. Four properties identify the frames of the
 stream:
 
-* Time. A frame arrives after it was sent, and the host knows how the microcontroller's counter runs. A frame whose
-  counter lies ahead of what the counter can show by now was not sent by this boot.
+* Time. A frame arrives after it was sent, and the host has an estimate of the microcontroller's counter. A frame with a
+  count that the counter can't have reached yet was not sent by this boot.
 * Number. Frame k begins k periods after START and never earlier, so a number that is ahead of its own time belongs to
-  another stream. It may be behind: a microcontroller that waits for its bus sends late and leaves frames out.
+  another stream. It may be behind: a microcontroller that waits for its bus sends late and omits frames.
 * List. In frame k the lists with ``k mod every == offset`` are sent, with a known length.
 * Order. Number and list increase from frame to frame. Frames that arrive together are put in order first.
 
-A frame of an earlier boot is admitted only if all of this agrees: its stream's START was answered at the same count of
-the microcontroller as this one's, from `EARLY_US` before to one period (at least 10 ms, `EARLY_NS`)
-after it, and the frame stands for one that is due now. The same holds for a frame exactly one turn of the counter (71.6
-minutes) old where the frame numbers make whole turns in that time too (a period of 65536 us divided by a whole number).
-Nothing on the link distinguishes such a frame from the true one, which is refused if it arrives second.
+A frame of an earlier boot is admitted only if all of this agrees: START of its stream was answered at the same count of
+the microcontroller as START of this stream, from `EARLY_US` before to one period (at least 10 ms, `EARLY_NS`) after it,
+and the frame has a number that is due now. The same holds for a frame that is exactly one turn of the counter (71.6
+minutes) old, if the frame numbers also make whole turns in that time (a period of 65536 us divided by a whole number).
+Nothing on the link distinguishes a frame of this kind from the true one; the second of them to arrive is refused.
 """
 
 from __future__ import annotations
@@ -43,14 +43,15 @@ from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
 
 EARLY_US = 5_000
-"""Largest time by which a frame may be sent before its number allows: an interrupt that keeps the period is sometimes
-late.
+"""Largest time in us by which a frame may be sent before its number allows: an interrupt that keeps the period is
+sometimes late.
 """
 PERIOD_ERROR = 0.01
 """Relative error of the period of a timer that can't count it exactly (a coarse tick)."""
 MEMORY_US = 300_000_000
-"""Time from which the earliest frame, and that of the previous interval of this length, determine the grid of frames:
-longer than a bus is held, and short enough for `PERIOD_ERROR` to stay below the wrap of the frame numbers at any rate.
+"""Interval in us. The grid of frames is determined by the earliest frame of the current interval and that of the
+previous one: longer than a bus is held, and short enough for `PERIOD_ERROR` to stay below the wrap of the frame numbers
+at any rate.
 """
 
 OUT_OF_ORDER = "old, repeated or out of order"
@@ -84,12 +85,12 @@ class Admission:
         """The position of the newest admitted frame: its number and its list as one number."""
         self._newest_us = started_us
         self._grid_us = self._earlier_grid_us = started_us
-        """Return when frame 0 would have been sent, from the earliest frame of the current and of the previous
+        """Time at which frame 0 would have been sent, from the earliest frame of the current and of the previous
         `MEMORY_US`.
         """
         self._grid_since_us = started_us
         self._usual_us = started_us
-        """Return when frame 0 would have been sent, from the newest frame."""
+        """Time at which frame 0 would have been sent, from the newest frame."""
 
     @property
     def newest_us(self) -> int:
@@ -197,36 +198,38 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 
 
 ANSWER_S = 0.25
-"""A microcontroller that has not answered for this time gets the command again."""
+"""Time in s without an answer after which a command is sent again."""
 TRIES = 3
 PATIENCE_S = 4.0
-"""Opening the port resets many boards, whose boot loader then waits for two seconds."""
+"""Time in s to wait for a first answer: opening the port resets many boards, and their boot loader takes two seconds.
+"""
 PINGS = 8
 PING_S = 0.04
-"""Time between two greetings: a third of a second determines the rate of the microcontroller's clock to a part in ten
-thousand.
+"""Time in s between two greetings; all greetings take a third of a second, which determines the rate of the
+microcontroller's clock to a part in ten thousand.
 """
 DRAIN_READS = 64
 EARLY_NS = 10_000_000
-"""Time by which a delivery may be quicker than the quickest of the last seconds, which an adapter that collects bytes
-for 16 ms has delivered in less than one. A frame that seems to arrive earlier than that was sent by another boot.
+"""Time in ns by which a delivery may be quicker than the quickest of the last seconds. Even an adapter that collects
+bytes for 16 ms delivers the quickest of some seconds in less than 1 ms. A frame that seems to arrive earlier than that
+was sent by another boot.
 """
 LEARNT_NS = 1_000_000
-"""Largest shift that one observation may cause in the fit of the microcontroller's clock: a false frame shifts it no
-more.
+"""Largest shift in ns that one observation may cause in the fit of the microcontroller's clock; it limits the effect of
+a false frame.
 """
 
 RESENDS = 3
-"""Attempts to get missing frames; frames that are sent again are lost as often as others."""
+"""Number of attempts to get missing frames; frames that are sent again are lost as often as others."""
 RUNS = 8
-"""Gaps that one attempt requests."""
+"""Largest number of gaps that one attempt requests."""
 MAX_PAUSE = 64
-"""Pieces of data without requests after frames were missing that the microcontroller does not have, because it omitted
-them.
+"""Largest number of pieces of data without a request for missing frames, after requests to which the microcontroller
+sent nothing: it has omitted these frames.
 """
 
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
-"""The time for a repeated greeting after a first answer."""
+"""Time in ns for a repeated greeting after a first answer."""
 
 _NONE: Times = np.empty(0, np.int64)
 
@@ -258,7 +261,7 @@ class _Piece(NamedTuple):
     tight: bool
 
     def since(self, sent_us: int) -> _Piece:
-        """Return the frames that were sent from `sent_us` on, whose arrival does not show the transit time."""
+        """Return the frames that were sent from `sent_us` on; their arrival does not determine the transit time."""
         places = np.flatnonzero(self.sent_us >= sent_us)
         frames = [self.frames[place] for place in places.tolist()]
         return _Piece(frames, self.sent_us[places], self.arrived_ns, False)
@@ -327,7 +330,7 @@ class Session:
         return capacity
 
     def _measure_trip(self) -> None:
-        """Estimate the quickest way back as half of the quickest round trip."""
+        """Estimate the quickest way from the microcontroller as half of the quickest round trip."""
         self._forget()
         trips_ns = []
         for _ in range(PINGS):
@@ -342,7 +345,7 @@ class Session:
         self._answers: list[_Answer] = []
         self._pieces: list[_Piece] = []
         self._newest: tuple[int, int] | None = None
-        """Return when the newest frame of the running stream was sent (us) and had arrived (ns)."""
+        """Time at which the newest frame of the running stream was sent (us), and by which it had arrived (ns)."""
         self._admission: Admission | None = None
         self.fit.restart()
 

@@ -19,11 +19,11 @@ from imuarray.chips import SpiRules
 from imuarray.errors import BusUrlError
 
 READ = 0x80
-"""Bit of the first byte that makes a transfer a read, for all supported chips."""
+"""Bit of the first byte that makes a transfer a read; the same for all supported chips."""
 MAX_MESSAGE = 4096
-"""Bytes of one message, unless spidev was loaded with another bufsiz (LNX-52)."""
+"""Largest number of bytes of one message, unless spidev was loaded with another bufsiz (LNX-52)."""
 KEPT = 256
-"""Messages whose structures are kept."""
+"""Number of messages whose structures are kept."""
 SPI_IOC_WR_MODE = 0x40016B01  # LNX-51
 SPI_IOC_WR_BITS_PER_WORD = 0x40016B03
 SPI_IOC_WR_MAX_SPEED_HZ = 0x40046B04
@@ -41,8 +41,8 @@ class SpiChip:
         self._rules = rules
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """Write a register's address and bytes for it, or read bytes from it on. With neither, a register is read and
-        discarded: there is no acknowledge, only the controller can fail.
+        """Write a register's address and bytes for it, or read bytes from this register on. With neither, read a
+        register and discard it: there is no acknowledge, so only the controller can fail.
         """
         if not read and not write:
             self.port.exchange(bytes([READ, 0]))

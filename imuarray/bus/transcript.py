@@ -4,10 +4,10 @@ A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200, "end_ns": 9
 transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"error"`` if the bus has its own message. A
 query for the owner of an address (`claim`) is ``{"claim": "53", ...}``, with the answer as ``"errno"`` or ``"error"``
 if it was not "yours". ``"seen"`` are the times at which the program read the clock before that line, in ns before its
-``at_ns``: a replay gives the same times, so that the program makes the same decisions. ``{"epoch":
-"2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began; ``{"stopped": 2, ...}`` says that the second query
-for a stop since the previous line was answered with yes. A replayed bus refuses the first transaction that differs,
-naming the line, so that a user's transcript can become a test.
+``at_ns``: a replay returns the same times, so that the program makes the same decisions. ``{"epoch":
+"2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began; ``{"stopped": 2, ...}`` means that the second
+query for a stop since the previous line was answered with yes. A replayed bus refuses the first transaction that
+differs, and names its line, so that a user's transcript can become a test.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, OutputExistsError, SensorError
 
 LONGEST_LINE = 1 << 17
-"""A message carries at most 8192 bytes (LNX-05)."""
+"""Largest length of a line in characters; a message carries at most 8192 bytes (LNX-05)."""
 _MOST = 1 << 63
 
 
@@ -36,7 +36,7 @@ def open_output(path: Path, force: bool) -> IO[str]:
 
 
 class _Notes:
-    """The readings of the clock since the last line, and those of a clock that had stopped there."""
+    """The readings of the clock since the last line, and the time at which a replayed clock would stand still."""
 
     def __init__(self) -> None:
         self.standing_ns = -_MOST
@@ -51,7 +51,7 @@ class _Notes:
         self.standing_ns = max(self.standing_ns, at_ns)
 
     def take(self, at_ns: int) -> list[int]:
-        """Return the readings in ns before `at_ns`; none if a clock that stands still would have shown the same."""
+        """Return the readings in ns before `at_ns`; none if a clock that stands still would have returned the same."""
         seen = [at_ns - stamp for stamp in self._seen] if self._moved else []
         self._seen, self._moved = [], False
         return seen
@@ -83,8 +83,8 @@ class _NotedMonotonicClock(_NotedClock, MonotonicClock):
 
 
 class RecordingBus:
-    """An open bus that records its traffic in a file. `failed` is the reason if the file could not be written any more;
-    the recording continues. `remark` is a remark on such a transcript for the user.
+    """An open bus that records its traffic in a file. `failed` is the reason why the file could not be written any
+    more; the recording continues. `remark` is a remark for the user on the transcript of this bus.
 
     Through it a microcontroller executes one transaction at a time and does not stream.
     """
