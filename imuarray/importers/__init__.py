@@ -1,8 +1,8 @@
 """Importers turn recordings of other programs into logs: known formats by name, any table of numbers with a map.
 
-Counts remain as in the source; nothing is resampled, interpolated or repeated. Formats of one instrument are entries of
-`FORMATS`; every table needs no code but a map (`imuarray.importers.mapping`). Doubts about a recording are reported
-from the log that was made of it (`imuarray.importers.plausibility`).
+Counts remain as in the source; nothing is resampled, interpolated or repeated. Formats of a single instrument are
+entries of `FORMATS`; other tables are imported with a map (`imuarray.importers.mapping`) and without further code.
+Doubts about a recording are reported from the log that was imported (`imuarray.importers.plausibility`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.m
 """The named formats and the module of each (loaded on demand), whose importer is `import_file`."""
 
 NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
-"""Epoch of a log whose source has no wall time; such a log says so in an event of kind "imported"."""
+"""Epoch of a log from a source without wall time; an event of kind "imported" in the log states this."""
 
 _GZIP = b"\x1f\x8b"
 """First bytes of a gzip file (RFC 1952)."""
@@ -41,9 +41,9 @@ MAGICS: Mapping[bytes, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class ImportSummary:
-    """The result of an import: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
-    (None if it does not number its rows); the number of events of each kind. Without `same_rows`, `rows` is that of the
-    sensor with most rows. `remarks` state what the importer left out, inferred or changed.
+    """The result of an import: `rows` of each sensor over `seconds`; `lost` is the number of missing rows according to
+    the source (None if it does not number its rows); the number of events of each kind. Without `same_rows`, `rows` is
+    that of the sensor with the most rows. `remarks` are sentences on what the importer left out, inferred or changed.
     """
 
     sensors: tuple[str, ...]

@@ -25,7 +25,7 @@ from imuarray.printable import printable
 Array = npt.NDArray[Any]
 
 MOST_COLUMNS = 64
-"""Maximum number of columns of an array; a longer side is that of the rows."""
+"""Maximum number of columns of an array; a longer dimension is that of the rows."""
 
 MOST_BYTES = 1 << 33
 """Maximum size of the arrays of a file; an hour of fifty sensors at a kilohertz takes 4 GB."""
@@ -85,7 +85,7 @@ class ArrayRows:
         return {"": list(self._columns)}
 
     def _column(self, column: str | int) -> Array:
-        """Return a column; SourceError if there is none of that name or index."""
+        """Return a column; SourceError if no column has that name or index."""
         if isinstance(column, int):
             if self._only is None or column >= self._only.shape[1]:
                 raise SourceError(

@@ -1,5 +1,5 @@
-"""ROS bags, 1 and 2, and MCAP files of either: messages of `sensor_msgs`, by rosbags. Those are Imu, MagneticField,
-FluidPressure and Temperature.
+"""ROS bags, 1 and 2, and MCAP files of either, read by rosbags. The supported messages of `sensor_msgs` are Imu,
+MagneticField, FluidPressure and Temperature.
 
 A topic is a kind of rows. The columns of an Imu are `stamp` (the header's, ns), `received` (ns), `angular_velocity.x`,
 ..., `linear_acceleration.z`; those of a MagneticField `magnetic_field.x`, ...; that of a Temperature `temperature`, of
@@ -35,7 +35,7 @@ TIMES = ("stamp", "received")
 
 _ROS1 = "ros1"
 _UNKNOWN = -1.0
-"""First covariance of an Imu that has no such sensor (sensor_msgs/Imu)."""
+"""First covariance in an Imu message of a quantity that is not measured (sensor_msgs/Imu)."""
 
 Message = tuple[int, int, tuple[float, ...]]
 """Stamp and arrival in ns, and the values."""

@@ -1,7 +1,7 @@
 """A text table, read in blocks of rows and converted to integers; errors name line, column and text.
 
-Damage by recorders and power cuts that cannot be a reading is left out and counted (`TextTable.remarks`): lines with
-NUL bytes, a repeated header, lines of text, an incomplete last line, a separator at the end of a line.
+Damage by recorders and power cuts that cannot be a reading is omitted and counted (`TextTable.remarks`): lines with NUL
+bytes, a repeated header, lines of text, an incomplete last line, a separator at the end of a line.
 """
 
 from __future__ import annotations
@@ -32,16 +32,18 @@ ROWS = 4096
 """Rows per block."""
 
 _HEADER_WITHIN = 50
-"""Rows within which a header is looked for that is not the first row."""
+"""Number of first rows in which a header is searched for that is not the first row."""
 
 MOST_RESTARTS = 1000
-"""Most falls of a clock in a recording; a column that falls more often holds no times, or rows are out of order."""
+"""Largest number of backward steps of the time in a recording. A column with more of them does not contain times, or
+the rows are out of order.
+"""
 
 FEWEST_WHOLE_ROWS = 100
 _FEW_SUMMARIES = 16
 MOST_TORN = 0.01
-"""Share of the rows so far that may have another number of cells and are left out, after this number of complete
-rows.
+"""Largest share of the rows so far that may have another number of cells and are omitted, after at least
+`FEWEST_WHOLE_ROWS` complete rows.
 """
 
 LINE_CHARACTERS = 65536
@@ -51,7 +53,7 @@ INT16 = (-32768, 32767)
 INT32 = (-(2**31), 2**31 - 1)
 
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
-"""Cells in lower case that hold no value, as pandas, R, SQL and Python write them."""
+"""Cells without a value, in lower case, as written by pandas, R, SQL and Python."""
 
 _LAST_NS = 2**62
 DAY_NS, HOUR_NS = 86_400_000_000_000, 3_600_000_000_000
@@ -61,7 +63,7 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 _DIGITS = frozenset("0123456789")
-"""The last characters of most numbers, by which they are told from `MISSING` cells at once."""
+"""The last characters of most numbers, which distinguish them quickly from `MISSING` cells."""
 
 
 class CellColumn(NamedTuple):
@@ -165,7 +167,7 @@ class TextTable:
 
     def _names(self) -> list[str]:
         """Return the cells of the header; the first row of numbers is kept for `_row` if the header is a comment. Some
-        cells of that row may be words, such as the `frame_id` of a ROS message.
+        cells of that row may be words, for example the `frame_id` of a ROS message.
         """
         row = self._row()
         header = next(csv.reader([self._comment], delimiter=self._layout.delimiter, skipinitialspace=True), [])
@@ -192,8 +194,8 @@ class TextTable:
             raise SourceError(f"{self.source}: line {self.line}: {error}") from None
 
     def _rows(self, kind: str | None) -> Iterator[tuple[int, list[str]]]:
-        """Yield line number and cells of every row of a kind. All rows must be equally long, or cells would silently
-        change their column; a few torn ones of a serial line are left out.
+        """Yield line number and cells of every row of a kind. All rows must have the same number of cells, because
+        cells would otherwise silently change their column; a few rows that a serial line tore are omitted.
         """
         kinds, width_of_kind, rows_read = self._layout.kind_columns, 0, 0
         while row := self._row():
@@ -237,8 +239,8 @@ class TextTable:
             yield self.line, row
 
     def _is_summary(self, row: Sequence[str], rows_read: int) -> bool:
-        """Return whether a row behind the readings summarises them: a word in the place of a number, such as "Mean",
-        and numbers. There are few of those.
+        """Return whether a row after the readings summarises them: it has a word in place of a number, for example
+        "Mean", and numbers. A table has few of these rows.
         """
         first = row[0].strip()
         is_worded = first[:1].isalpha() and first.lower() not in MISSING and not _is_number(first)
@@ -280,7 +282,7 @@ class TextTable:
             yield CellBlock(self.source, lines, columns)
 
     def remarks(self) -> list[str]:
-        """Return what was left out, as sentences."""
+        """Return what was omitted, as sentences."""
         sentences = {
             "nul": "{} with NUL bytes left out, as a power cut leaves them",
             "header": "{} that repeat the header left out",
@@ -304,10 +306,10 @@ _NOVATEL = re.compile(r"[#%]([A-Z0-9]+A,[^;]*);(.*)\*[0-9A-Fa-f]{8}")
 
 
 def plain_line(line: str, delimiter: str) -> str:
-    """Return a line without what terminals and instruments wrap it in: the Arduino IDE's "12:34:56.789 -> " becomes a
-    cell of its own, and so does a word before numbers, "IMU: 1,2,3"; the checksum of a sentence "$VNYMR,...*5C" (NMEA
-    0183) or "%RAWIMUSA,...;...*5aa97065" (NovAtel) is left out. A semicolon behind the last of cells that commas
-    separate ends the row.
+    """Return a line without the additions of terminals and instruments. The Arduino IDE's "12:34:56.789 -> " becomes a
+    separate cell, and so does a word before numbers, "IMU: 1,2,3". The checksum of a sentence "$VNYMR,...*5C" (NMEA
+    0183) or "%RAWIMUSA,...;...*5aa97065" (NovAtel) is removed. A semicolon after the last of cells separated by commas
+    ends the row.
     """
     line = plain_sentence(line)
     if line.startswith("|") and line.rstrip().endswith("|"):
@@ -325,7 +327,7 @@ def plain_line(line: str, delimiter: str) -> str:
 
 
 _FEWEST_BEHIND_WORD = 3
-"""Fewest cells behind a word and a colon that are a row of numbers, and not a remark or a labelled value."""
+"""Fewest cells after a word and a colon that are a row of numbers, and not a remark or a labelled value."""
 
 
 def is_rule(line: str) -> bool:
@@ -348,8 +350,8 @@ _LABELLED = re.compile(
 
 def labelled(cells: Sequence[str]) -> list[str]:
     """Return a row whose values have labels ("ax: 0.02, ay: -0.98 g") as their labels, joined by commas, and the
-    values; [] of a row without a label. The labels are the kind of the row: text between readings has others. A stamp
-    in brackets, "[1234] ax: 0.02", and values that a bar separates are values of their own.
+    values; [] of a row without a label. The labels are the kind of the row, because text between the readings has other
+    labels. A time stamp in brackets, "[1234] ax: 0.02", and values separated by a bar are separate values.
     """
     labels, values = [], []
     for cell in map(str.strip, chain.from_iterable(map(_labelled_parts, cells))):
@@ -378,7 +380,7 @@ _SEPARATED = re.compile(r"\||(?<=\d)\](?=\s*[A-Za-z])|^\s*\[(?=\d)")
 """Bars between labelled values, and the brackets around a stamp before them."""
 
 _REMARKS = re.compile(r"(comment|remark|note|annotation)s?|kommentar|bemerkung(en)?", re.IGNORECASE)
-"""Name of a last column for remarks, whose cell programs leave out of rows without one."""
+"""Names of a last column for remarks. Programs omit its cell in rows without a remark."""
 
 
 _UNIT_CELL = re.compile(
@@ -389,20 +391,20 @@ _UNIT_CELL = re.compile(
 
 
 def is_unit_row(cells: Sequence[str]) -> bool:
-    """Return whether the cells of a row hold units, as a second row below the names does."""
+    """Return whether the cells of a row are units, as in a second row below the names."""
     return any(cell.strip() for cell in cells) and all(_UNIT_CELL.fullmatch(cell.strip()) for cell in cells)
 
 
 def _is_binary(line: str) -> bool:
-    """Return whether a line has control characters and undecodable bytes as no text has."""
+    """Return whether a line has control characters and undecodable bytes that do not occur in texts."""
     strange = sum(letter == "\ufffd" or (letter < " " and letter not in "\t\x0b\x0c") for letter in line)
     return strange > 0.1 * len(line)
 
 
 def _western(error: UnicodeError) -> tuple[str, int]:
-    """Read bytes that are no UTF-8 as Windows-1252, in which spreadsheets write units, as far as they are letters or
-    signs of units; others as U+FFFD, so that a file that is no text is recognised (small negative numbers of 16 bits
-    begin with FF or FE).
+    """Decode bytes that are not UTF-8 as Windows-1252, in which spreadsheets write units, if they are letters or signs
+    of units. Other bytes become U+FFFD, so that a file that is not a text is recognised (small negative numbers of 16
+    bits begin with FF or FE).
     """
     if not isinstance(error, UnicodeDecodeError):
         raise error
@@ -428,8 +430,8 @@ _LOOKED_AT = 64
 
 
 def is_utf16(data: bytes) -> bool:
-    """Return whether a text begins with a byte order mark of UTF-16 and has zeros as it does; what a serial port gives
-    while a board starts may be the same two bytes.
+    """Return whether a text begins with a byte order mark of UTF-16 and has zero bytes as UTF-16 does; the bytes from a
+    serial port while a board starts may be equal to the mark.
     """
     return data[:2] in _UTF16 and (len(data) < _LOOKED_AT or data[2:_LOOKED_AT].count(0) > _LOOKED_AT // 4)
 
@@ -454,12 +456,12 @@ class CellBlock(NamedTuple):
 
 
 Blocks = Iterator[tuple[CellBlock, list[int]]]
-"""Blocks of rows, each with the places of the wanted columns in it."""
+"""Blocks of rows, each with the indices of the requested columns in it."""
 
 
 class CodeConversion(NamedTuple):
     """The conversion of cells into counts of `count_bits`: minus `offset`, or as two's complement of `bits`; with a
-    `sensitivity` (counts per unit) they are in a unit.
+    `sensitivity` (counts per unit) the cells are in a unit.
     """
 
     sensitivity: float | None = None
@@ -514,7 +516,7 @@ def _hint(codes: CodeConversion) -> str:
 
 
 class TimeColumn:
-    """Turns the cells of a time column into ns across blocks: exactly, and across the wraps of a counter."""
+    """Converts the cells of a time column to ns across blocks: exactly, and across the wraps of a counter."""
 
     def __init__(
         self,
@@ -526,12 +528,12 @@ class TimeColumn:
         *,
         restarts: bool = False,
     ) -> None:
-        """`last_ns` is the time of the row before the first one, None if there is none."""
+        """`last_ns` is the time of the row before the first one; None without one."""
         self._restarts, self._restart_ns, self._usual_ns = restarts, 0, 1
         self.restarted: npt.NDArray[np.bool_] = np.zeros(0, bool)
-        """Rows (n,) of the last block at which the times fell."""
+        """Rows (n,) of the last block at which the time stepped back."""
         self.set_back_ns: list[int] = []
-        """By how much the times fell each time, at most `MOST_RESTARTS` of them; a longer list is refused."""
+        """Size in ns of each backward step of the time; more than `MOST_RESTARTS` steps are refused."""
         self._iso = unit == ISO
         self._format = unit if is_date_format(unit) else ""
         tick_ns = Fraction(ticks).limit_denominator(10**9) * NS_PER_UNIT.get(unit, 1)
@@ -572,7 +574,9 @@ class TimeColumn:
         return times
 
     def stamps(self, column: CellColumn) -> npt.NDArray[np.int64]:
-        """Return the times (n,) in ns as the cells say them, in any order; SourceError for a cell that is no time."""
+        """Return the times (n,) in ns as stated in the cells, in any order; SourceError for a cell that is not a
+        time.
+        """
         if column.values is not None:
             return self._of_numbers(column)
         return np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
@@ -586,7 +590,9 @@ class TimeColumn:
         )
 
     def _joined(self, column: CellColumn, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Let times that fall go on from the row before, at the usual interval; SourceError if they fall often."""
+        """Continue times that step back from the row before, at the usual interval; SourceError if they step back
+        often.
+        """
         if not len(times):
             return times
         steps = np.diff(times, prepend=times[0] if self.last_ns is None else self.last_ns - self._restart_ns)
@@ -614,7 +620,7 @@ class TimeColumn:
         return np.asarray(times + place)
 
     def _of_numbers(self, column: CellColumn) -> npt.NDArray[np.int64]:
-        """Return the times of a file that holds numbers: integers exactly, others to the digits that they have."""
+        """Return the times of a file of binary numbers: integers exactly, others to their precision."""
         values = column.values
         assert values is not None  # noqa: S101, its caller asked
         if values.dtype.kind == "f":
@@ -640,7 +646,7 @@ class TimeColumn:
         return f"numbers up to {_LAST_NS // self._tick_ns}"
 
     def _of_text(self, column: CellColumn, row: int) -> int:
-        """Return one time, in decimal arithmetic, since a day count in floating seconds does not resolve
+        """Return one time, in decimal arithmetic, because seconds since 1970 as a floating-point number do not resolve
         nanoseconds.
         """
         text = column.texts[row].strip()
@@ -676,8 +682,8 @@ def _date_ns(column: CellColumn, row: int, text: str) -> int:
 
 
 def _without_leap_second(text: str) -> tuple[str, int]:
-    """Return a time in second 60 as one in second 59, and how much later it is in ns: the clock shows the next minute,
-    and then that once more (`restarts` in the map).
+    """Return a time in second 60 as a time in second 59, and the difference in ns. The resulting time is in the next
+    minute, and that second then occurs again (`restarts` in the map).
     """
     if _LEAP_SECOND.search(text):
         return text.replace(":59:60", ":59:59", 1), 1_000_000_000
@@ -688,7 +694,7 @@ _LEAP_SECOND = re.compile(r":59:60(?!\d)")
 
 
 def _formatted_ns(column: CellColumn, row: int, text: str, layout: str) -> int:
-    """Return a date and time of a `strptime` format as ns since 1970, one without a day as ns since midnight; without a
+    """Return a date and time of a `strptime` format as ns since 1970, or ns since midnight if it has no day; without a
     zone it is UTC. A fraction at the end may have nine digits, or be absent.
     """
     text, nanos = _without_leap_second(text.strip())

@@ -1,4 +1,4 @@
-"""Flags on clipped readings, once the whole recording is known."""
+"""Flags of clipped readings, which are set after the whole recording has been read."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from imuarray.printable import counted, listed
 
 
 def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
-    """Flag the rows of triads that are at the end of the range. Returns which, as sentences, one for sensors that clip
-    alike.
+    """Flag the rows of triads at the end of the range. Returns sentences that state the sensors, one for all sensors
+    that clip in the same way.
     """
     clipping: dict[str, list[tuple[str, int]]] = {}
     for header in headers:
@@ -36,7 +36,7 @@ def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
 
 
 def _readings(rows: Sequence[int]) -> str:
-    """Return how many readings of each sensor are at an end."""
+    """Return the number of readings of each sensor at an end of the range, in words."""
     if len(rows) == 1:
         return counted(rows[0], "reading")
     span = f"{min(rows)} to {max(rows)} readings" if min(rows) < max(rows) else counted(rows[0], "reading")
@@ -52,7 +52,7 @@ def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:
 
 
 def _where(header: SensorHeader, rails: Rails) -> str:
-    """Return at which counts the axes clip."""
+    """Return the counts at which the axes clip, in words."""
     axes: dict[str, str] = {}
     for axis, name in enumerate("xyz"):
         ends = [int(code) for code in (rails.low[axis], rails.high[axis]) if np.isfinite(code)]

@@ -1,7 +1,6 @@
-"""Meaning of the columns of a recording, by their names and, if these do not help, by their values.
-
-Time increases, three columns whose names differ in x, y and z are a triad, gravity is 1 g. The result is a proposed map
-with its doubts.
+"""Meaning of the columns of a recording, inferred from their names and, if these do not determine it, from their
+values. Time increases; three columns with names that differ in x, y and z are a triad; gravity is 1 g. The result is a
+proposed map with its doubts.
 """
 
 from __future__ import annotations
@@ -49,19 +48,19 @@ from imuarray.printable import counted, listed
 from imuarray.units import UNITS_OF
 
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
-"""Every unit belongs to one quantity."""
+"""The quantity of each unit; every unit belongs to one quantity."""
 _PART = re.compile(r"(.*)\[\d+\]")
 _FOURTH: Mapping[str, str] = {"xyz": "w", "XYZ": "W", "012": "3", "123": "0", "ENZ": "\0"}
-"""What the fourth of four numbers is called, of which three look like a triad; 0 may be their time. Seismometers have
-east, north and up, and no fourth.
+"""Name of the fourth of four columns, by the names of three that look like a triad; column 0 may be their time.
+Seismometers have east, north and up, and no fourth column.
 """
 _COMPASS: Mapping[str, str] = {"EW": "E", "NS": "N", "UD": "Z"}
-"""Other names of these three, of K-NET's seismometers."""
+"""Names of east, north and up in the files of K-NET's seismometers, with the letters used here."""
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
 _ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
 _VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\[?\*\]?|[bl]e\[\*\]", re.IGNORECASE)
-"""Names of columns that say nothing but that they hold values, as those of Android's SensorEvent."""
+"""Names of columns that only state that they contain values, for example those of Android's SensorEvent."""
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _INSTANCE = re.compile(
     r"i|id|imu|instance|type|(event\.)?(sensor|device|imu|unit)[ _.]?(id|no|nr|number|index|type)?", re.IGNORECASE
@@ -89,7 +88,7 @@ _ALTERNATES = 0.3
 
 
 def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | None:
-    """Return the column that numbers the sensors whose rows alternate; None without one."""
+    """Return the column with the numbers of the sensors that rows alternate between; None without one."""
     for index, name in enumerate(names[: len(columns)]):
         values = columns[index]
         if not _INSTANCE.fullmatch(name.strip()) or not len(values) or not np.isfinite(values).all():
@@ -100,7 +99,7 @@ def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | No
 
 
 def kind_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> int | None:
-    """Return the column whose words name the sensors that share the other columns; None without one."""
+    """Return the column with the names of the sensors that share the other columns; None without one."""
     for index in range(min(len(names), len(rows[0]))):
         words = [row[index].strip() for row in rows]
         kinds = set(words)
@@ -127,7 +126,7 @@ def propose_columns(
     stem: str = "",
     units: Mapping[str, str] = MappingProxyType({}),
 ) -> Proposal:
-    """Propose a map of a table whose columns may have names; `units` of those whose unit is known."""
+    """Propose a map of a table with or without names of columns; `units` are the known units by column."""
     proposal = Proposal(layout, units=units)
     if names and any(names.count(name) > 1 for name in names):
         proposal.doubts.append("some columns have the same name; they are selected by their indices")
@@ -178,7 +177,7 @@ def propose_columns(
 
 
 def _no_time(names: Sequence[str], columns: Sequence[Floats]) -> str:
-    """Return that no column is the time, or what is wrong with one that is called so."""
+    """Return the message that no column is the time, or the fault of a column that is named as a time."""
     for name, values in zip(names, columns, strict=False):
         finite = values[np.isfinite(values)]
         if TIME.search(name) and len(finite):
@@ -191,11 +190,13 @@ def _no_time(names: Sequence[str], columns: Sequence[Floats]) -> str:
 
 
 _AXIS = re.compile(r"(?<![A-Za-z])[A-Za-z]?[xyz](?![A-Za-z])|(?<![A-Z])[XYZ](?![A-Za-z])")
-"""The letter of an axis in the name of a column, perhaps behind the letter of a quantity: gx_dps, acc_x, AccX."""
+"""The letter of an axis in the name of a column, with or without the letter of a quantity before it: gx_dps, acc_x,
+AccX.
+"""
 
 
 def _incomplete_triads(names: Sequence[str], taken: set[int]) -> Iterator[str]:
-    """Yield a doubt for each quantity that has columns of one or two axes only."""
+    """Yield a doubt for each quantity with columns of only one or two axes."""
     axes: dict[str, dict[str, str]] = {}
     for index, name in enumerate(names):
         if index in taken or (match := _AXIS.search(name)) is None:
@@ -214,7 +215,7 @@ def _incomplete_triads(names: Sequence[str], taken: set[int]) -> Iterator[str]:
 
 
 def _is_temperature(name: str, units: Mapping[str, str]) -> bool:
-    """Return whether a column is called a temperature or has a unit of one."""
+    """Return whether a column is named a temperature or has a unit of temperature."""
     return bool(TEMPERATURE.search(name)) or (units.get(name) or unit_in(name)) in ZERO_OF_UNIT
 
 
@@ -236,7 +237,7 @@ def _triads(
     stem_of_file: str,
     units: Mapping[str, str],
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
+    """Yield the quantity ("" if neither name nor unit states it) and the columns of each triad."""
     if not names:
         free = [index for index in range(len(columns)) if index not in taken and np.isfinite(columns[index]).any()]
         stem_quantity = quantity_of(stem_of_file)
@@ -304,7 +305,9 @@ def _with_gravity_again(
     columns: Sequence[Floats],
     proposal: Proposal,
 ) -> list[tuple[str, tuple[int, int, int]]]:
-    """Return the triads with gravity and the acceleration without it as one, if there is no accelerometer's reading."""
+    """Return the triads with gravity and the acceleration without gravity combined into one, if the table has no
+    readings of an accelerometer.
+    """
     forces = [indices for quantity, indices in triads if quantity == "specific_force"]
     if names:
         pulls = [indices for indices in forces if _GRAVITY.search(names[indices[0]])]
@@ -333,7 +336,7 @@ def _with_quantity(
     columns: Sequence[Floats],
     proposal: Proposal,
 ) -> list[tuple[str, tuple[int, int, int]]]:
-    """Return the triads whose quantity is known; if none is, all are taken for specific forces."""
+    """Return the triads of known quantity; if no quantity is known, all triads are assumed to be specific forces."""
 
     def first_name(triad: tuple[str, tuple[int, int, int]]) -> str:
         return names[triad[1][0]] if names else f"column {triad[1][0] + 1}"
@@ -375,12 +378,13 @@ _MOST_OF_ONE_SENSOR = 5
 """Most columns besides time of a table of one sensor: its axes, and perhaps an accuracy or a magnitude."""
 
 _PLAIN_COLUMNS = 9
-"""Most columns without names that are read as force, rate and field in this order."""
+"""Largest number of columns without names that are assumed to be force, rate and field in this order."""
 
 
 def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield the triads of columns without names: consecutive threes, or among many others those that behave like it.
-    The magnitude of specific force is constant under rotation, so the first is taken for a force.
+    The magnitude of specific force is constant under rotation; the first triad is assumed to be a force unless the
+    second one behaves like it.
     """
     if len(free) > _PLAIN_COLUMNS or len(free) % 3:
         if triads_by_behaviour := list(triads_by_values(columns, free)):

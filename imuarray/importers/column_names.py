@@ -20,7 +20,7 @@ SPELLINGS: Mapping[str, str] = {
 }  # fmt: skip
 """Spellings of units in names of columns, in lower case, besides those that maps may have (`imuarray.units`)."""
 _BEGIN = r"(?<![a-z])"
-"""Before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
+"""Pattern before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
 QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
     ("magnetic_field", re.compile(rf"mag|compass|field|{_BEGIN}[mihb]\*", re.IGNORECASE)),
     ("angular_rate", re.compile(rf"gyr|rot|omega|{_BEGIN}ang(?!le)|rate(?!d)|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
@@ -49,15 +49,15 @@ def is_of_a_quantity(words: str) -> bool:
 
 
 def column_label(names: Sequence[str], index: int) -> str:
-    """Return a column as a map names it: by its name, or by its index if it has none of its own."""
+    """Return a column as a map names it: by its name, or by its index if the name is missing or not unique."""
     if index >= len(names) or not names[index] or names.count(names[index]) > 1:
         return str(index)
     return quoted(names[index])
 
 
 def quantity_of(name: str) -> str:
-    """Return the quantity that a name states, its last part ("imu.gyro") before the whole; "" if it states none, or an
-    attitude.
+    """Return the quantity that a name states, in its last part ("imu.gyro") or else in the whole name; "" if it states
+    no quantity, or an attitude.
     """
     if ATTITUDE.search(name):
         return ""
@@ -82,7 +82,7 @@ def _spelt_as_usual(unit: str) -> str:
 
 
 def units_below_header(layout: TextLayout, names: Sequence[str]) -> dict[str, str]:
-    """Return the units of columns by name, as a row below the header has them."""
+    """Return the units of columns by name, from a row of units below the header."""
     units = {
         name: unit_in(f"[{cell.strip().strip('[]()')}]") for name, cell in zip(names, layout.unit_cells, strict=False)
     }

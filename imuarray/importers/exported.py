@@ -1,7 +1,7 @@
 """Read back the raw counts of a log that `imuarray export` wrote: the result is the same log.
 
 The first bytes of a file determine its format (`importer_of`). Its content is validated before use: the header like
-that of any log, the tables against the header. This module is common to all formats.
+that of any log, and the tables against the header. This module is common to all formats.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ Read = Callable[[ColumnGroup, tuple[str, ...]], Iterator[Columns]]
 
 @dataclass(frozen=True)
 class Head:
-    """The validated header of an export: the log's preamble, and the groups besides its sensors."""
+    """The validated header of an export: the log's preamble, and the groups other than sensors."""
 
     preamble: Preamble
     groups: Mapping[str, tuple[str, ...]]
-    """The columns of the groups besides the sensors; a reference need not have all."""
+    """The columns of the groups other than sensors; a reference may lack some."""
 
 
 def parse_header(text: str | bytes, where: str) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
 
 
 def _columns_of(name: str, listed: Any, where: str) -> tuple[str, ...]:
-    """Return the columns of a group besides the sensors: those listed, otherwise all; SourceError."""
+    """Return the columns of a group other than a sensor: those in the list, or all without a list; SourceError."""
     all_columns = tuple(column for column, _, _ in TRACK_COLUMNS[name])
     if listed is None:
         return all_columns

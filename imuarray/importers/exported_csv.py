@@ -1,5 +1,6 @@
 """Read back CSV files of `imuarray export`: the list (run.csv) with the files that it names, or the table of one
-sensor. What is no column is in run.json beside it; earlier versions wrote it in two lines of comment of every file.
+sensor. Data that are not columns are in run.json in the same folder; earlier versions wrote them in two comment lines
+of every file.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
 
 
 def _has_comments(file: BinaryIO) -> bool:
-    """Return whether a file begins as those of earlier versions; it is left at its beginning."""
+    """Return whether a file begins with the comment lines of earlier versions; the file is left at its beginning."""
     begin = file.read(len(CSV_MAGIC))
     file.seek(0)
     return begin == CSV_MAGIC.encode()
@@ -91,7 +92,7 @@ def _commented_header(file: BinaryIO, path: Path) -> dict[str, Any]:
 
 
 def _texts(file: BinaryIO, path: Path, names: Sequence[str]) -> list[list[str]]:
-    """Return the rows of a short table of texts whose first row are the `names`; SourceError."""
+    """Return the rows of a short table of texts with the `names` as its first row; SourceError."""
     data = file.read(MAX_TEXT_BYTES + 1)
     if len(data) > MAX_TEXT_BYTES:
         raise SourceError(f"{path}: more than {MAX_TEXT_BYTES} bytes of text")
@@ -129,7 +130,7 @@ class _Tables:
         self._done = 0
 
     def notes(self, table: str, names: Sequence[str], numbers: int) -> list[list[Any]]:
-        """Return phases or events; none if there is no such file."""
+        """Return phases or events; an empty list without a file of them."""
         if table not in self._files:
             return []
         path, _ = self._files[table]

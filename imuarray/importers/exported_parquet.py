@@ -34,7 +34,7 @@ _PHASES, _EVENTS = ("start_ns", "end_ns", "name", "up"), ("time_ns", "sensor", "
 
 
 def is_exported(path: Path) -> bool:
-    """Return whether a Parquet file says that `imuarray export` wrote it; False where pyarrow is missing."""
+    """Return whether a Parquet file states that `imuarray export` wrote it; False without pyarrow."""
     try:
         from pyarrow import parquet
     except ImportError:

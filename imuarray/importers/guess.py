@@ -38,7 +38,9 @@ from imuarray.units import UNITS_OF
 _MIMU4444 = 'file = { format = "mimu4444" }'
 
 _SAME_SCALE = 0.25
-"""Log ratio of these rotations that quick motion can make."""
+"""Largest log ratio between the rotation of gravity and that by a gyroscope, due to quick motion, at which a guessed
+sensitivity is kept.
+"""
 _NEAR_UNIT = 0.3
 """Greatest log ratio between the rotation of gravity and that by a gyroscope at which a unit explains it."""
 
@@ -77,8 +79,8 @@ def guess_map(source: str | Path) -> str:
 
 
 def _assumed_scales(proposal: Proposal) -> Iterator[str]:
-    """Yield a doubt about each gyroscope whose unit or scale is assumed, of a recording without rotations that show
-    it.
+    """Yield a doubt about each gyroscope with an assumed unit or scale, for a recording without rotations that
+    determine it.
     """
     for item in filter(_is_gyroscope, proposal.items):
         if item.is_guess("sensitivity"):
@@ -107,7 +109,7 @@ class _Trial(NamedTuple):
 
 
 def _why_parts_are_apart(proposal: Proposal, path: Path) -> str:
-    """Return why files cannot be parts of one recording: their rows do not follow each other; "" if they can."""
+    """Return the reason why files cannot be parts of one recording (their rows are not consecutive); "" if they can."""
     trial = _try_import(proposal.text([]), path)
     if trial.is_refused:
         where = f"{str(path).lstrip('/')}/"
@@ -118,18 +120,16 @@ def _why_parts_are_apart(proposal: Proposal, path: Path) -> str:
 
 
 _BETWEEN_PARTS = 0.01
-"""Longest gap of parts that were joined, as a share of their time: a recorder that begins a new file loses a few
-rows.
-"""
+"""Longest gap between joined parts, as a share of their time: a recorder that begins a new file loses a few rows."""
 
 _FITTING = 0.5
-"""Least interval of rows that were sorted, as a share of the usual one, at which all of them fit between the others: a
-clock that was set back, or stamps of arrival that are early, put rows closer together.
+"""Least interval of sorted rows, as a share of the usual one, at which late rows fit between the others. Rows are
+closer together if the clock was set back or time stamps of arrival are too early.
 """
 
 
 def _try_sorted(proposal: Proposal, path: Path) -> _Trial | None:
-    """Add `sort = true` to the proposal if rows come late and fit between the others; None if that is no remedy."""
+    """Add `sort = true` to the proposal if rows are late and fit between the others; None if sorting does not help."""
     line = "sort = true   # rows are out of order, and fit between the others"
     proposal.time.append(line)
     trial = _try_import(proposal.text([]), path)
@@ -155,14 +155,14 @@ def _try_restarts(proposal: Proposal, path: Path) -> _Trial | None:
 
 
 _OPENED = 0.25
-"""Longest interval of rows that were sorted, as a share of the recording, above which they are not late: a clock that
-was set back puts the rest of the recording before its beginning.
+"""Longest interval of sorted rows, as a share of the recording, up to which they are considered late. If the clock was
+set back, sorting puts the rest of the recording before its beginning.
 """
 
 
 def _extreme_intervals(log: Log) -> tuple[float, float]:
-    """Return the least interval of the rows of any sensor, as a share of its median, and the longest, as a share of
-    the time of all its rows.
+    """Return the shortest interval between rows of any sensor, as a share of its median interval, and the longest, as a
+    share of the time of all its rows.
     """
     shortest, longest = [], []
     for sensor in log.sensors.values():
@@ -198,7 +198,7 @@ def _label(item: Item) -> str:
 
 
 def _leave_out(proposal: Proposal, items: Sequence[Item], why: str) -> bool:
-    """Remove sensors from a proposal and say so; return whether there were any."""
+    """Remove sensors from a proposal and add a doubt that states this; return whether there were any."""
     if items:
         proposal.doubts.append(f"left out: {', '.join(map(_label, items))}: {why}")
         proposal.items = [item for item in proposal.items if not any(item is other for other in items)]
@@ -206,9 +206,9 @@ def _leave_out(proposal: Proposal, items: Sequence[Item], why: str) -> bool:
 
 
 def _leave_out_computed(proposal: Proposal) -> None:
-    """Leave out what would count as further sensors: a truth or reference beside the sensors, and triads that software
-    computed from others of the recording: gravity, accelerations without gravity, and readings less an estimated bias
-    where those of the chip are there too.
+    """Remove triads that would be imported as additional sensors: a truth or reference recorded with the sensors, and
+    triads that software computed from others of the recording. These are gravity, accelerations without gravity, and
+    readings less an estimated bias if the recording also has the readings of the chip.
     """
     known = [item for item in proposal.items if TRUTH.search(_label(item))]
     if len(known) < len(proposal.items):
@@ -226,8 +226,9 @@ def _leave_out_computed(proposal: Proposal) -> None:
 
 
 def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
-    """Leave out accelerometers that do not measure 1 g: a program subtracted gravity. They stay in the map as comments
-    if no other sensor has gravity, with the attitude that can add it again. One that is the only sensor is kept.
+    """Remove accelerometers that do not measure 1 g, because a program subtracted gravity. If no other sensor measures
+    gravity, they stay in the map as comments, with the attitude by which gravity can be added again. An accelerometer
+    that is the only sensor is kept.
     """
     forces = [item for item in proposal.items if item.text("quantity") == "specific_force"]
     names = [item.name for item in forces]
@@ -258,16 +259,20 @@ def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
 
 
 _SUBTRACTED, _NO_UNIT_EXPLAINS = "gravity may have been removed", "or the unit may be wrong"
-"""What a report says of a sensor without gravity, and if the size of its readings is that of no other unit."""
+"""Phrases of a report on a sensor without gravity: the first always, the second if the size of its readings does not
+agree with another unit.
+"""
 
 
 def _is_called_computed(item: Item) -> bool:
-    """Return whether the names of a sensor's rows or columns say that a program computed them."""
+    """Return whether the names of a sensor's rows or columns state that a program computed them."""
     return any(COMPUTED.search(item.line(key)) for key in ("kind", "columns"))
 
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:
-    """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if all directions say so."""
+    """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if the gravity in all directions
+    agrees with mg.
+    """
     changed = False
     for item in proposal.items:
         length = 1024 * radii.get(item.name, 0.0)
@@ -312,11 +317,11 @@ _RATES_HZ = (
 """Usual rates of recordings."""
 _NEAR_RATE = 0.05
 _KNOWN_RATE = 0.1
-"""Log ratios up to which a rate is a usual one, and is not doubted."""
+"""Largest log ratio to a usual rate that is replaced by it, and to the assumed rate that is not corrected."""
 
 
 def _correct_rate(proposal: Proposal, factor: float) -> bool:
-    """Replace a rate of rows that was assumed by the one at which the gyroscope turns as gravity does."""
+    """Replace an assumed rate of rows by the rate at which the gyroscope agrees with the rotation of gravity."""
     line = next((line for line in proposal.time if line == UNKNOWN_RATE), None)
     if line is None or factor <= 0 or abs(ln(factor)) < _KNOWN_RATE:
         return False
@@ -338,12 +343,12 @@ def _is_gyroscope(item: Item) -> bool:
 
 
 def _has_guessed_unit(item: Item) -> bool:
-    """Return whether the values of a sensor are in a unit that is guessed, and no counts."""
+    """Return whether the values of a sensor are in a guessed unit and are not counts."""
     return item.is_guess("unit") and not item.line("sensitivity")
 
 
 def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
-    """Replace dps by rad/s, of gyroscopes that would be quieter than any in dps; and the reverse."""
+    """Replace dps by rad/s for gyroscopes with less noise in dps than any gyroscope has, and the reverse."""
     changed = False
     for item in proposal.items:
         guessed = item.text("unit")
@@ -358,8 +363,8 @@ def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
 
 
 def _correct_unit(item: Item, factor: float) -> bool:
-    """Replace the guessed unit of a gyroscope whose values are in a unit by the one that the factor says, if any; or by
-    the scale of codes of more than 16 bits, if that of a data sheet fits.
+    """Replace the guessed unit of a gyroscope's values by the unit that agrees with the factor, if any; or by the scale
+    of codes of more than 16 bits, if one from a data sheet agrees.
     """
     if not _has_guessed_unit(item):
         return False

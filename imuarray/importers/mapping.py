@@ -1,4 +1,4 @@
-"""The map of a recording: the meaning of its columns, read from TOML; what is invalid is refused with its place.
+"""The map of a recording: the meaning of its columns, read from TOML. Errors state the place of an invalid entry.
 
 ::
 
@@ -20,8 +20,8 @@
                   time_column   kind
     [[phase]]     name  up = "+Z"   rows = [first, last] | seconds = [begin, end]
 
-A column is a name (then the first row is a header) or an index counted from 0. Phases count data rows from 0, last
-included, or seconds from the first row.
+A column is a name (then the first row is a header) or an index counted from 0. Phases are in data rows counted from 0,
+with the last row included, or in seconds from the first row.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1, "d": 8
 """Nanoseconds of each unit of times; days are the serial dates of spreadsheets and MATLAB."""
 
 TEMPERATURE_LSB_PER_DEGC = 100.0
-"""Counts per degree of a log's thermometer if the recording gives degrees and no resolution: a hundredth of a degree is
-finer than any of these thermometers, and 16 bits then hold -327 to 327 degC.
+"""Counts per degree of a log's thermometer if the recording has degrees without a resolution. A hundredth of a degree
+is finer than any of these thermometers, and 16 bits then range from -327 to 327 degC.
 """
 
 ZERO_OF_UNIT = {"degC": 0.0, "K": -273.15}
@@ -95,12 +95,12 @@ def is_date_format(unit: str) -> bool:
 
 
 def has_no_day(unit: str) -> bool:
-    """Return whether a format of dates and times has the time of day alone, which restarts at midnight."""
+    """Return whether a format of dates and times has only the time of day, which restarts at midnight."""
     return is_date_format(unit) and not re.search(r"%[dj]", unit)
 
 
 def has_no_hour(unit: str) -> bool:
-    """Return whether a format of times has minutes and seconds alone, which restart every hour."""
+    """Return whether a format of times has only minutes and seconds, which restart every hour."""
     return is_date_format(unit) and not re.search(r"%[HI]", unit)
 
 
@@ -160,13 +160,13 @@ class FileTable(BaseModel):
 class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or the rate of the rows.
 
-    `fraction_column` holds the rest of a second, in `fraction_unit`, if `column` has whole seconds. A column counts
-    `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
-    are separated by 1 ns. With `sort`, rows that come late are put in the order of their times, and rows that the file
-    holds twice are kept once (`imuarray.importers.row_order`). With `restarts`, times that fall go on from the row
-    before: the clock was set back (the end of daylight saving time, a leap second), or the recorder started again. A
-    unit with `%` is the format of dates, as `datetime.strptime` has them; a time of day alone goes on after midnight,
-    and minutes and seconds alone after the hour. `stamps = "arrival"`: the times are those at which rows arrived in
+    `fraction_column` is the fraction of a second, in `fraction_unit`, if `column` has whole seconds. A column counts
+    `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time are separated
+    by 1 ns. With `sort`, late rows are sorted by their times, and rows that the file contains twice are kept once
+    (`imuarray.importers.row_order`). With `restarts`, times that step back continue from the row before: the clock was
+    set back (the end of daylight saving time, a leap second), or the recorder started again. A unit with `%` is a
+    format of dates for `datetime.strptime`; a time of day without a date continues after midnight, and minutes and
+    seconds without an hour continue after the hour. `stamps = "arrival"`: the times are those at which rows arrived in
     bursts; the log's times are then reconstructed (`imuarray.importers.row_order`), and the delays are stored.
     """
 
@@ -273,17 +273,17 @@ class BarometerTable(LogColumn):
 class SensorTable(LogColumn):
     """`[[sensor]]`: three columns that form a triad.
 
-    `values` says whether they hold counts or numbers in `unit`, which are converted to counts; without `sensitivity`
+    `values` states whether they are counts or numbers in `unit`, which are converted to counts; without `sensitivity`
     and `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in
     `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
-    with `bits` they are two's complement of so many bits, also if it was read as unsigned. A log keeps codes of up to
-    32 bits without loss: as many as `bits`, or as range times sensitivity takes. Values of `columns` times `factor` are
-    in `unit`; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
-    `bandwidth_hz`: the -3 dB bandwidth to which the chip was set, 0 if unknown. `gravity_columns`: gravity that a
-    program subtracted, in `unit`; it is added again. `attitude_columns`: the unit quaternion, w first, from the
-    sensor's axes to a level frame whose z axis points up, by which a program subtracted gravity; 1 g is added again
-    along up.
-    `thermometer` is given if a chip's data sheet is not known to this package, or a unit was calibrated.
+    with `bits` they are two's complement of that number of bits, even if they were read as unsigned. A log stores codes
+    of up to 32 bits without loss: `bits`, or the number that range times sensitivity requires. Values of `columns`
+    times `factor` are in `unit`; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
+    `bandwidth_hz` is the configured -3 dB bandwidth of the chip, 0 if unknown. `gravity_columns` is the gravity that a
+    program subtracted, in `unit`; it is added again. `attitude_columns` is the unit quaternion, w first, from the
+    sensor's axes to a level frame with z up, which a program used to subtract gravity; 1 g is added again along up.
+    `thermometer` is required if this package does not have the data sheet of the chip, or if the thermometer was
+    calibrated.
     """
 
     chip: Annotated[str, Field(min_length=1)]
@@ -368,7 +368,7 @@ def _with_standard_unit(entries: Any, quantity: Any) -> Any:
 
 
 def _check_unit(unit: str, quantity: str) -> None:
-    """Raise ValueError for a unit that the quantity does not have."""
+    """Raise ValueError for a unit of another quantity."""
     if unit not in UNITS_OF[quantity]:  # type: ignore[index]
         raise ValueError(f"unit {unit!r}: allowed for {quantity} are {', '.join(UNITS_OF[quantity])}")  # type: ignore[index]
 

@@ -1,13 +1,14 @@
-"""MIMU4444 boards: eight MPU-9150, four on each side, so that every axis of one side opposes an axis of the other.
+"""MIMU4444 boards: eight MPU-9150, four on each side, so that every axis of a chip on one side opposes an axis of a
+chip on the other.
 
 Scales: 2048 counts per g (+-16 g), 16.4 counts per degree/s (+-2000 degrees/s). The box frame is the board's, that of
 the odd units; the even ones, on the other side, have x along -Y, y along -X, z along -Z. Time is the board's 64 MHz
-counter, 32 bits, so it wraps every 67 s; the packet numbers, 16 bits, tell how often it did so in a gap.
+counter of 32 bits, which wraps every 67 s; the packet numbers of 16 bits determine the number of wraps in a gap.
 
-The packets are searched and validated in a byte stream, block by block, between other bytes. A packet is 106 bytes, big
-endian: 0xAA, packet number (16 bits), payload length (100), time stamp (32 bits), eight times ax ay az gx gy gz (16
-bits, signed), and the sum of the first 104 bytes (16 bits). Sources: the recordings that were published with H.
-Carlsson, I. Skog, J. Jalden, Self-Calibration of Inertial Sensor Arrays, IEEE Sensors Journal 21(6), 2021
+The packets are searched for and validated in a byte stream, block by block; other bytes may be between them. A packet
+is 106 bytes, big endian: 0xAA, packet number (16 bits), payload length (100), time stamp (32 bits), eight times ax ay
+az gx gy gz (16 bits, signed), and the sum of the first 104 bytes (16 bits). Sources: the recordings that were published
+with H. Carlsson, I. Skog, J. Jalden, Self-Calibration of Inertial Sensor Arrays, IEEE Sensors Journal 21(6), 2021
 (github.com/hcarlsso/Self-Calibration-Inertial-Sensor-Arrays-BCD.jl, MIT).
 """
 
@@ -54,8 +55,8 @@ _ACKNOWLEDGE = 0xA0
 
 
 class Piece(NamedTuple):
-    """Packets (n,) in stream order. `skipped` (n + 1,): bytes before each packet, and after the last, that belong to no
-    valid packet. `broken` (n + 1,): packets of wrong checksum among them.
+    """Packets (n,) in stream order. `skipped` (n + 1,) is the number of bytes before each packet, and after the last,
+    that are not part of a valid packet. `broken` (n + 1,) is the number of packets with a wrong checksum in them.
     """
 
     packets: npt.NDArray[Any]
@@ -64,8 +65,8 @@ class Piece(NamedTuple):
 
 
 def read_packets(file: BinaryIO, block_bytes: int = BLOCK_BYTES) -> Iterator[Piece]:
-    """Yield the packets of `file` in pieces of about `block_bytes`, without a command's acknowledge at the
-    beginning.
+    """Yield the packets of `file` in pieces of about `block_bytes`, without the board's acknowledgement of a command at
+    the beginning.
     """
     cutter = _Cutter()
     head = file.read(4)
@@ -82,8 +83,8 @@ def _is_acknowledge(head: bytes) -> bool:
 
 
 class _Cutter:
-    """The state between two blocks: undecided bytes, bytes skipped since the last packet, and how many of the rest
-    belong to a packet that is already counted as broken.
+    """The state between two blocks: undecided bytes, the number of bytes skipped since the last packet, and the number
+    of undecided bytes in a packet that is already counted as broken.
     """
 
     def __init__(self) -> None:
@@ -93,11 +94,13 @@ class _Cutter:
         self.counted = 0
 
     def cut(self, block: bytes, last: bool = False) -> Piece:
-        """Return the packets of the rest and `block`. Bytes that may begin a packet are kept, unless `last`."""
+        """Return the packets of the rest and `block`. Bytes that may be the beginning of a packet are kept, unless
+        `last`.
+        """
         data = np.frombuffer(self.rest + block, np.uint8)
         good, bad = _find(data)
         end = int(good[-1]) + SIZE if len(good) else 0
-        # A broken packet is one only if no sound packet begins within it, which the next block may yet show.
+        # A packet counts as broken only if no valid packet begins within it, which may depend on the next block.
         undecided = max(end, len(data) if last else len(data) - 2 * SIZE + 1)
         bad = _without_overlaps(_clear_of(good, bad[(bad < undecided) & (bad >= self.counted)]))
         starts = np.append(good, undecided)
@@ -160,7 +163,9 @@ COUNTER_HZ = 64_000_000
 TICKS_PER_PACKET = round(COUNTER_HZ / RATE_HZ)
 
 JUMP_S = 0.5
-"""Allowed difference between the counter and the packet numbers, plus 1 % of a gap; a greater one is an event."""
+"""Allowed difference in s between the counter and the packet numbers, plus 1 % of a gap; a larger difference is an
+event.
+"""
 
 EVENTS_PER_KIND = 100
 """Maximum number of events of one kind; the rest is one event with their number."""
@@ -312,16 +317,16 @@ class _Recording:
 
 
 def _jump(passed: int, steps: int) -> str:
-    """Describe how far the counter and the packet numbers disagree."""
+    """Describe the difference between the counter and the packet numbers."""
     return f"{passed / COUNTER_HZ:.3f} s by the counter, {steps / RATE_HZ:.3f} s by the packet numbers,"
 
 
 def _advance(number: Integers, ticks: Integers) -> tuple[Integers, Integers]:
-    """Return, from raw numbers and counters (n + 1,), by how many packets each follows the previous one, and the ticks
-    (n,).
+    """Return, from raw numbers and counters (n + 1,), the number of packets and of ticks (n,) from each packet to the
+    next.
 
-    Both wrap: the number after 65536 packets, the counter after 2**32 ticks; in a gap the number determines how often
-    the counter did. A repeated packet is 0 packets and 0 ticks on; no other step is 0.
+    Both wrap: the number after 65536 packets, the counter after 2**32 ticks; in a gap the packet number determines how
+    often the counter wrapped. A repeated packet is a step of 0 packets and 0 ticks; no other step is 0.
     """
     steps = (np.diff(number) - 1) % 65536 + 1
     passed = np.diff(ticks) % 2**32

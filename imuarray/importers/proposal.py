@@ -1,7 +1,7 @@
 """A proposed map under construction: its tables, and the lines that describe the time and each sensor.
 
-The column of time, its unit, and the unit of a sensor or the scale of its codes follow from names and from the size of
-the values.
+The column of time, its unit, and the unit of a sensor or the scale of its codes are inferred from names and from the
+size of the values.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class Item(list[str]):
         return next((line for line in self if line.startswith(f"{key} = ")), "")
 
     def text(self, key: str) -> str:
-        """Return the text that an entry holds; "" without it."""
+        """Return the text of an entry; "" without it."""
         return self.line(key).partition('"')[2].partition('"')[0]
 
     def is_guess(self, key: str) -> bool:
-        """Return whether there is such an entry and its comment says that it is guessed."""
+        """Return whether the entry exists and its comment states that it is guessed."""
         return "# ?" in self.line(key)
 
     def replace(self, key: str, line: str) -> None:
@@ -77,7 +77,7 @@ class Proposal:
     attitudes: list[list[str]] = field(default_factory=list)
     """Columns of quaternions, w first, as a map names them."""
     asides: list[Item] = field(default_factory=list)
-    """Items that stand in the map as comments."""
+    """Items that are written into the map as comments."""
 
     def name_line(self, stem: str) -> str:
         """Return the line with the next free name that begins with a stem: Acc, Acc2, ..."""
@@ -89,7 +89,9 @@ class Proposal:
         self.items.append(Item([f"[[{table}]]", self.name_line(stem), *lines]))
 
     def attitude_lines(self, is_comment: bool) -> list[str]:
-        """Return the line of a sensor that adds gravity again by the attitude of its rows; none without an attitude."""
+        """Return the line of a sensor that adds gravity again by the attitude of its rows; an empty list without an
+        attitude.
+        """
         mark = "# " if is_comment else ""
         return [
             f"{mark}attitude_columns = [{', '.join(names)}]   # w, x, y, z: adds 1 g along up again"
@@ -116,8 +118,8 @@ _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 
 def is_time_of_rows(name: str, values: Floats) -> bool:
-    """Return whether a column has an increasing time for each row: it is called a time, or grows without being called
-    a number of the rows.
+    """Return whether a column has an increasing time for each row: its name is that of a time, or it increases and its
+    name is not that of a row number.
     """
     if not increases(values):
         return False
@@ -129,7 +131,7 @@ UNKNOWN_RATE = "rate_hz = 100   # ? enter the true rate"
 
 
 def rate_line(proposal: Proposal) -> str:
-    """Return the line of `[time]` for rows without times: the rate that the recording states, or a guess."""
+    """Return the line of `[time]` for rows without times: the rate stated in the recording, or a guess."""
     layout = proposal.layout
     if layout.rate_hz is None:
         return UNKNOWN_RATE
@@ -144,7 +146,9 @@ def add_own_time(
     time: tuple[int | None, Mapping[int, str]],
     proposal: Proposal,
 ) -> None:
-    """Add the time column of a sensor to its lines, if it is not that of the table, `time`, which may be a date."""
+    """Add the time column of a sensor to its lines, if it differs from that of the table, `time`, which may be a
+    date.
+    """
     time_of_sensor = _own_time(names[first], names, columns, time[0]) if names else None
     if time_of_sensor is None:
         return
@@ -174,8 +178,8 @@ def time_index(names: Sequence[str], columns: Sequence[Floats], dates: Mapping[i
 
 
 def _own_time(name: str, names: Sequence[str], columns: Sequence[Floats], time: int | None) -> int | None:
-    """Return the time column that has the beginning of its name in common with a sensor's column; None if that of the
-    whole table, `time`, fits as well or there is none.
+    """Return the time column that has the beginning of its name in common with a sensor's column; None if there is no
+    such column, or if that of the whole table, `time`, fits as well.
     """
 
     def common(index: int) -> int:
@@ -198,7 +202,9 @@ _OWN_PREFIX = 2
 
 
 def increases(values: Floats) -> bool:
-    """Return whether values (n,) increase like time: all but a hundredth of the steps, as a counter may wrap."""
+    """Return whether values (n,) increase like time: all but a hundredth of the steps are positive, because a counter
+    may wrap.
+    """
     finite = values[np.isfinite(values)]
     if len(finite) < _MOSTLY_KNOWN * len(values):
         return False
@@ -207,12 +213,12 @@ def increases(values: Floats) -> bool:
 
 
 _MOSTLY_KNOWN = 0.5
-"""Least share of rows that have a time: events between readings may have none."""
+"""Least share of rows with a time: events between readings may have none."""
 
 
 def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int) -> list[str]:
-    """Return the lines of `[time]` for whole seconds in the column `index` and the rest of them in the next one, by
-    names such as sec and nsec; none otherwise.
+    """Return the lines of `[time]` for whole seconds in the column `index` and their fraction in the next one, by names
+    such as sec and nsec; otherwise an empty list.
     """
     rest = index + 1
     if rest >= min(len(names), len(columns)):
@@ -236,7 +242,7 @@ _FRACTIONS: Mapping[str, re.Pattern[str]] = {
     "us": re.compile(r"(u|micro)s(ecs?|econds?)?$", re.IGNORECASE),
     "ms": re.compile(r"(m|milli)s(ecs?|econds?)?$", re.IGNORECASE),
 }
-"""Names of columns with the rest of a second, by unit: nsecs, nanosec, tv_usec."""
+"""Names of columns with the fraction of a second, by unit: nsecs, nanosec, tv_usec."""
 
 
 def time_lines(
@@ -310,11 +316,11 @@ _CALLED: Mapping[str, re.Pattern[str]] = {
     "ns": re.compile(r"(?:^|[_ .])(?:ns|nsec|nanos|nanoseconds)$|[a-z]NS$", re.ASCII),
     "s": re.compile(r"(?:^|[_ .])(?:sec|secs|seconds)$", re.ASCII),
 }
-"""Names of times that say their unit without brackets, by unit."""
+"""Names of times that state their unit without brackets, by unit."""
 
 
 def _unit_called(name: str) -> str:
-    """Return the unit of time that a name without brackets says; "" if it says none."""
+    """Return the unit of time that a name states without brackets; "" if it states none."""
     return next((unit for unit, spelt in _CALLED.items() if spelt.search(name.strip())), "")
 
 
@@ -333,7 +339,7 @@ def _restarts(values: Floats) -> list[str]:
 
 
 def _wrap_of(values: Floats) -> float:
-    """Return the usual period that a counter (n,) with falls has; 0 without one."""
+    """Return the usual period of a counter (n,) that wraps; 0 without one."""
     least, most = float(values.min()), float(values.max())
     if least < 0:  # a signed counter
         return next((period for period in _WRAPS if 0.9 * period < 2 * min(most, -least) <= period), 0.0)
@@ -341,7 +347,7 @@ def _wrap_of(values: Floats) -> float:
 
 
 def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
-    """Return the unit of times, as their column's name says it or by their step, and the step."""
+    """Return the unit of times, as stated in their column's name or inferred from their step, and the step."""
     steps = np.diff(values)
     step = float((values[-1] - values[0]) / len(steps)) if len(steps) else np.nan
     if (steps < 0).any():
@@ -352,7 +358,9 @@ def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
 
 
 _STEPS = (("d", 1e-5), ("s", 0.2), ("ms", 200.0), ("us", 2e5))
-"""Units of time, and the steps from row to row below which they are plausible; above the last, nanoseconds are."""
+"""Units of time, and the steps from row to row below which they are plausible; larger steps are assumed to be in
+nanoseconds.
+"""
 
 
 NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
@@ -365,13 +373,13 @@ _CODES_16 = 1 << 16
 _LEAST_MIDDLE = 128.0
 _NEAR_MIDDLE = 0.15
 _GRAVITY_FROM_MIDDLE = 0.55
-"""Least middle of the range of an unsigned converter (8 bits), and the relative distances of the axes' medians from it:
-of two axes, and of the one along gravity, which is half of the middle at +-2 g.
+"""Constants of an unsigned converter: the least middle of its range (8 bits), and the largest relative distances from
+the middle of the medians of the other two axes and of the axis along gravity, which is one half at +-2 g.
 """
 _APPLE = re.compile(
     r"user_?acceleration|accelerometerAcceleration|motionGravity|DeviceMotion|CMAcceleration", re.IGNORECASE
 )
-"""Names of Apple's CoreMotion, in which a device that lies on its back reads -1 g along z."""
+"""Names used by Apple's CoreMotion: a device on its back measures -1 g along z."""
 
 
 def propose_sensor(
@@ -436,25 +444,29 @@ def propose_sensor(
 
 
 _WEIGHTLESS = 0.7
-"""Median length of accelerations in which there is no gravity, in g or m/s2."""
+"""Median length of accelerations, in g or m/s2, below which they do not include gravity."""
 
 _WHOLE = 0.999
-"""Share of whole numbers of a column of codes: a torn row may hold others."""
+"""Least share of whole numbers in a column of codes: a torn row may contain others."""
 
 UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
 
 
 def is_in_mg(length: float) -> bool:
-    """Return whether gravity's length in all directions says that whole numbers are in mg, not 1024 counts per g."""
+    """Return whether the length of gravity in all directions shows that whole numbers are in mg and not 1024 counts per
+    g.
+    """
     return abs(ln(length / 1000)) < abs(ln(length / 1024)) and abs(ln(length / 1000)) < _EXACT
 
 
 _EXACT = 0.012
-"""Greatest log ratio of gravity's length in all directions to the counts per g."""
+"""Largest log ratio of gravity's length in all directions to the counts per g."""
 
 
 def _signed(values: Floats) -> tuple[Floats, list[str], float]:
-    """Return codes (n, 3) as signed ones, the lines that say how, and the largest code that is then possible."""
+    """Return codes (n, 3) as signed codes, the lines of the map for this conversion, and the largest code that is then
+    possible.
+    """
     if values.min() < 0 or values.max() >= _CODES_16:
         return values, [], _CODES_16 / 2
     medians = np.median(values, axis=0)
@@ -475,7 +487,7 @@ def _signed(values: Floats) -> tuple[Floats, list[str], float]:
 
 
 def _wide_codes(length: float, beyond: float) -> list[str]:
-    """Return the scale of an accelerometer's codes of more than 16 bits, up to `beyond`."""
+    """Return the lines for the scale of an accelerometer's codes of more than 16 bits, up to `beyond`."""
     per_g = min(WIDE_SENSITIVITIES["specific_force"], key=lambda sensitivity: abs(ln(length / sensitivity)))
     if abs(ln(length / per_g)) > NEAR_GRAVITY:
         per_g = 2.0 ** round(ln(length) / ln(2))
@@ -516,7 +528,7 @@ def _counted(quantity: str, length: float, largest: float) -> list[str]:
 
 
 UNIT_UNKNOWN = "dps or rad/s"
-"""Why the unit of a gyroscope is guessed, if its values do not show it."""
+"""The units between which a gyroscope's unit is guessed, if its values do not determine it."""
 
 
 def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
@@ -537,7 +549,7 @@ def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
 
 
 _MOST_DPS = 6000.0
-"""Readings beyond those of every gyroscope in dps: the values are in thousandths."""
+"""Readings in dps that no gyroscope exceeds; larger values are in thousandths."""
 
 
 def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
@@ -561,7 +573,7 @@ def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
 
 
 def propose_barometer(proposal: Proposal, name: str, values: Floats) -> None:
-    """Propose a column of air pressures, if they are such in some unit."""
+    """Propose a column of air pressures, if the values are plausible in one of the units."""
     finite = values[np.isfinite(values)]
     middle = float(np.median(finite)) if len(finite) else 0.0
     near = next((unit for unit, sea_level in _PRESSURES.items() if 0.2 < middle / sea_level < 1.2), None)

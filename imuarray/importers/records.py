@@ -1,9 +1,9 @@
-"""Texts whose rows name their values: JSON (a document, or an object on each line), InfluxDB's line protocol, and
-frames of a CAN bus as candump writes them.
+"""Texts with a name for each value in a row: JSON (a document, or an object on each line), InfluxDB's line protocol,
+and frames of a CAN bus as written by candump.
 
 Objects are flattened: `{"imu": {"acc": [0, 0, 1]}}` has the columns `imu.acc[0]`, `imu.acc[1]` and `imu.acc[2]`. Lists
-of objects are tables of their own, whose kind is the path to them; words that tell a few kinds of objects apart
-("sensor": "gyro") are their kind too. Numbers keep all their digits.
+of objects are separate tables, and their kind is the path to them. Words that distinguish a few kinds of objects
+("sensor": "gyro") are also part of the kind. Numbers keep all their digits.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from imuarray.importers.cells import WINDOWS_1252, Blocks, CellBlock
 from imuarray.printable import counted, printable
 
 LOOKED_AT_RECORDS = 20_000
-"""Number of records from which kinds and columns are learnt."""
+"""Number of records from which kinds and columns are inferred."""
 
 MOST_KINDS = 16
-"""Largest number of different values of a field that distinguishes kinds of records; a field with more holds remarks or
-numbers.
+"""Largest number of different values of a field that distinguishes kinds of records; a field with more values contains
+remarks or numbers.
 """
 
 MOST_BYTES = 1 << 29
@@ -40,7 +40,7 @@ MOST_CHARACTERS = 1 << 24
 """Longest line of a record."""
 
 MOST_COLUMNS = 64
-"""Longest list of numbers whose elements are columns; a longer one is a column."""
+"""Longest list of numbers with a column for each element; a longer list is a single column."""
 
 _BEGIN_BYTES = 1 << 16
 
@@ -60,11 +60,11 @@ WORD_ORDERS = ("le", "be")
 FIRST_WORDS = frozenset({"le[0]", "le[2]", "be[0]", "be[2]"})
 
 Record = tuple[str, dict[str, str]]
-"""The path to a record ("" of the outermost), and its values by name as texts."""
+"""The path to a record ("" for the outermost), and its values by name as texts."""
 
 
 def is_of_records(path: Path) -> bool:
-    """Return whether a text is one of records."""
+    """Return whether a file is a text of records."""
     try:
         with path.open("rb") as file:
             begin = decompress(file).read(_BEGIN_BYTES)
@@ -114,7 +114,7 @@ class RecordRows:
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences on the lines that were left out."""
+        """Sentences on the lines that were omitted."""
         count = self._left_out["lines"]
         return [f"{counted(count, 'line')} left out that cannot be read as the others"] if count else []
 
@@ -207,7 +207,7 @@ class _Number(str):
 
 
 def _of_line(text: str) -> Iterator[Record]:
-    """Yield the records of a line; nothing of one that is damaged."""
+    """Yield the records of a line; none for a damaged line."""
     if text[0] in "{[":
         try:
             value = json.loads(text, parse_float=_Number, parse_int=_Number)
@@ -283,7 +283,7 @@ def _collect(
 
 
 def _kind_fields(records: Sequence[tuple[int, Record]]) -> list[str]:
-    """Return the fields whose few values distinguish kinds of records."""
+    """Return the fields with few different values, which distinguish kinds of records."""
     words: dict[str, set[str]] = {}
     numeric: set[str] = set()
     for _, (_, values) in records:

@@ -1,8 +1,8 @@
 """Counts per unit of columns in physical units: inferred from the grid of their values, or from their size.
 
-Most such recordings are counts that a driver has multiplied: the values lie on a grid whose step is the scale, and the
-original counts are recovered. Other values are rounded to counts as fine as 16 bits allow, or finer if their noise is
-less than such a count. A log keeps counts of up to 32 bits.
+Most recordings in physical units are counts that a driver has multiplied: the values lie on a grid with the scale as
+its step, and the original counts are recovered. Other values are rounded to counts as fine as 16 bits allow, or to
+finer counts if their noise is less than one of these. A log keeps counts of up to 32 bits.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ SENSITIVITIES = {
     + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0)),
     "magnetic_field": (),
 }
-"""Counts per unit in data sheets: a grid that is within `NEAR` of one is taken for it."""
+"""Counts per unit in data sheets: a measured grid within `NEAR` of one of these is assumed to be equal to it."""
 
 WIDE_SENSITIVITIES = {
     "specific_force": (12_800.0, 25_600.0, 51_200.0, 64_000.0, 128_000.0, 256_000.0, 52_428_800.0, 262_144_000.0),
     "angular_rate": (655_360.0, 2_621_440.0, 10_485_760.0),
     "magnetic_field": (16_384.0,),
 }
-"""The same of chips with codes of more than 16 bits: Analog Devices' ADXL355 and ADXL357 (20 bits), the ADIS16470 and
+"""The same for chips with codes of more than 16 bits: Analog Devices' ADXL355 and ADXL357 (20 bits), the ADIS16470 and
 ADIS16495 (32 bits); the MMC5983MA (18 bits).
 """
 
 NEAR = 3e-4
-"""Greatest relative difference between a step found from rounded values and that of the data sheet."""
+"""Largest relative difference between a step measured from rounded values and that of the data sheet."""
 
 FULL_SPAN = 1.05 * 32768
-"""Counts of a 16-bit chip over its range, which may be slightly less than its output. A finer grid is that of the
-digits of a text.
+"""Largest number of counts in the range of a 16-bit chip; the range may be slightly larger than that of the output. A
+finer grid is that of the digits of a text.
 """
 
 SAMPLE_ROWS = 20_000
-"""Number of rows from which the grid is found."""
+"""Number of rows from which the grid is estimated."""
 
 MOST_BITS = 32
 """Bits of the widest counts of a log."""
@@ -59,20 +59,22 @@ FINE = 1.0
 """Noise (rms) in counts of 16 bits from which on rounding adds less than a tenth to its variance."""
 
 _WIDE_NOISE = 16.0
-"""Noise in counts, at least, of values whose noise is less than a count of 16 bits: rounding then adds a 3000th."""
+"""Least noise in counts after conversion of values with a noise of less than a count of 16 bits: rounding then adds a
+3000th to the variance.
+"""
 
 _FEWEST_VALUES = 8
 _OFF_GRID = 0.1
-"""Share of a step by which values may miss the grid, since digits of a text are rounded."""
+"""Largest distance of values from the grid, as a share of a step: the digits of a text are rounded."""
 
 _ON_GRID = 0.98
 _DIVISORS = (1, 2, 3)
-"""Maximum distance of the two closest values in steps."""
+"""Possible distances of the two closest values in steps."""
 
 
 def common_step(axes: Sequence[Floats]) -> float | None:
-    """Return the step of a grid on which the values of all axes lie: one through zero, or, of readings less a bias, one
-    with an offset of its own on each axis; None without one.
+    """Return the step of a grid on which the values of all axes lie: a grid through zero, or, for readings less a bias,
+    a grid with a separate offset on each axis; None without one.
     """
     step = grid_step(np.concatenate(axes))
     if step is not None:
@@ -99,7 +101,7 @@ def grid_step(values: Floats) -> float | None:
 
 
 def _refined(distinct: Floats, step: float) -> float:
-    """Refine a step that fits near zero with values further and further away."""
+    """Refine a step that fits values near zero by values that are increasingly far from it."""
     base = float(distinct[np.abs(distinct).argmin()])
     distance = distinct - base
     reach = 8.0
@@ -127,8 +129,8 @@ class Resolution:
     bits: int = 16
 
     def attributes(self, log_units: float) -> dict[str, int | float | str]:
-        """Return the attributes of a log's sensor whose columns were in units of `log_units`: its counts are no codes
-        of a chip if they were assumed, or step by decimal digits.
+        """Return the attributes of a log's sensor whose columns were in units of `log_units`: its counts are not codes
+        of a chip if they were assumed, or if their step is a power of ten.
         """
         wide: dict[str, int | float | str] = {COUNT_BITS: self.bits} if self.bits > 16 else {}
         if not self.is_exact:
@@ -144,8 +146,8 @@ _DECIMAL = 1e-4
 def resolution_of(
     quantity: str, axes: Sequence[Floats], largest: float, range_: float | None, sensitivity: float | None
 ) -> Resolution:
-    """Return the resolution of values in the log's unit, of which some are known by axis (`axes`, (n,) each) and
-    `largest` is the largest; `range_` and `sensitivity` if they are known.
+    """Return the resolution of values in the log's unit, from some values of each axis (`axes`, (n,) each) and the
+    `largest` of all values; `range_` and `sensitivity` are None if unknown.
     """
     if range_ is None:
         range_ = next((value for value in RANGES[quantity] if largest <= value), largest)
@@ -158,8 +160,8 @@ def resolution_of(
 
 
 def bits_of(largest: float, end: float) -> int:
-    """Return the bits of counts of which the `largest` is known and `end` is the end of their range: 16, or as many as
-    the range takes; at most `MOST_BITS`.
+    """Return the number of bits of counts with this `largest` value and the `end` of their range: 16, or as many as
+    required, but at most `MOST_BITS`.
     """
     if largest <= INT16[1]:
         return 16
@@ -167,12 +169,12 @@ def bits_of(largest: float, end: float) -> int:
 
 
 def usual_bits(largest: float) -> int:
-    """Return the least usual number of bits of codes of more than 16 bits, of which the `largest` is known."""
+    """Return the least usual number of bits for codes of more than 16 bits with this `largest` value."""
     return next((bits for bits in _USUAL_BITS if largest <= 1 << bits - 1), MOST_BITS)
 
 
 _USUAL_BITS = (18, 19, 20, 24)
-"""Widths of codes of chips, besides 16 and 32."""
+"""Numbers of bits of chips' codes, in addition to 16 and 32."""
 
 
 def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: float) -> Resolution:

@@ -1,5 +1,5 @@
-"""A folder with a text for each row, as the KITTI data set stores the readings of its inertial unit:
-`data/0000000000.txt`, ..., the times in `timestamps.txt`, and what the values are in `dataformat.txt`.
+"""A folder with a text for each row, as in the KITTI data set for the readings of its inertial unit:
+`data/0000000000.txt`, ..., the times in `timestamps.txt`, and the meaning of the values in `dataformat.txt`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _OXTS_UNITS = {"a": "m/s^2", "w": "rad/s"}
 
 
 def folder_of_rows(path: Path) -> Path | None:
-    """Return the folder with the numbered files in or below `path`; None if there is none."""
+    """Return the folder with the numbered files in or below `path`; None without one."""
     for folder in (path, path / "data", path / "oxts" / "data"):
         if folder.is_dir() and len(_files(folder, FEWEST_FILES)) == FEWEST_FILES:
             return folder
@@ -100,7 +100,7 @@ class FileRows:
 
 
 def _find_file(folder: Path, name: str) -> Path | None:
-    """Return a file in a folder or in the one above it; None if there is none."""
+    """Return a file in a folder or in its parent; None if neither has it."""
     return next((place / name for place in (folder, folder.parent) if (place / name).is_file()), None)
 
 
@@ -119,7 +119,7 @@ def _cells(path: Path) -> list[str]:
 
 
 def _described(path: Path) -> list[str]:
-    """Return the names of values, with their units in brackets, as a description has them."""
+    """Return the names of values, with their units in brackets, from a description file."""
     names = []
     for line in _lines(path):
         if (match := _DESCRIBED.match(line.strip())) is not None:

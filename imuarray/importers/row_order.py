@@ -1,11 +1,11 @@
 """Rows of a table in the order of their reading times, block by block.
 
-A logger with several threads, or a transport that repeats packets, writes rows out of order. A row may be up to
-`MOST_ROWS_LATE` rows late and is sorted in; `imuarray.importers.cells.TimeColumn` refuses one that is later.
+A logger with several threads, or a transport that repeats packets, writes rows out of order. A row that is up to
+`MOST_ROWS_LATE` rows late is sorted; `imuarray.importers.cells.TimeColumn` refuses a row that is later.
 
-The reading times of rows that arrived in bursts are reconstructed: a chip samples steadily, whatever its host does.
-Rows are assumed to be read evenly between the mean arrival times of long stretches, so that the chip's oscillator may
-drift against the host's clock (`imuarray.log.row_timing`). The delay of each row is kept as a column, so the
+The reading times of rows that arrived in bursts are reconstructed: a chip samples at a steady rate, independent of its
+host. Rows are assumed to be read evenly between the mean arrival times of long stretches, so that the chip's oscillator
+may drift against the host's clock (`imuarray.log.row_timing`). The delay of each row is kept as a column, so the
 arrival times are not lost.
 """
 
@@ -62,12 +62,13 @@ class _EvenTimes:
 
 
 MOST_ROWS_LATE = 4096
-"""Number of rows that are held back, which limits the cells in memory."""
+"""Number of rows that are buffered, which limits the memory."""
 
 
 class RowOrder:
-    """Sorts rows by their times; `late` counts those that came after a row with a later time. Rows that a file holds
-    twice, as two that overlap and were joined do, are kept once; `repeated` counts the others.
+    """Sorts rows by their times; `late` is the number of rows after a row with a later time. Rows that a file contains
+    twice, for example because two overlapping files were joined, are kept once; `repeated` is the number of removed
+    copies.
     """
 
     def __init__(self, times: Callable[[CellBlock, Sequence[int]], Times]) -> None:
@@ -94,8 +95,8 @@ class RowOrder:
             yield pending, places
 
     def _once(self, block: CellBlock, times: Times, order: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-        """Return the order (n,) without rows that are equal to the one before, in time and in all cells, but were not
-        written after it: a coarse clock has rows like that, and so has padding.
+        """Return the order (n,) without rows that are equal to the one before, in time and in all cells, unless they
+        were on the next line: a coarse clock and padding also give equal consecutive rows.
         """
         is_first = np.ones(len(order), bool)
         for place in (np.flatnonzero(np.diff(times[order]) == 0) + 1).tolist():
@@ -106,7 +107,7 @@ class RowOrder:
         return order[is_first]
 
     def _count(self, times: Times) -> None:
-        """Count the rows that come after a later one."""
+        """Count the rows that follow a row with a later time."""
         if not len(times):
             return
         latest = np.maximum.accumulate(times if self._latest is None else np.concatenate([[self._latest], times]))
@@ -122,7 +123,7 @@ def _join(first: CellBlock, second: CellBlock) -> CellBlock:
 
 
 def select_rows(block: CellBlock, rows: npt.NDArray[np.intp]) -> CellBlock:
-    """Return the rows of a block in an order."""
+    """Return the `rows` of a block, in this order."""
     columns: list[Sequence[str] | npt.NDArray[np.number]] = []
     places = rows.tolist()
     for column in block.columns:

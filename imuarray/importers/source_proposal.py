@@ -1,7 +1,7 @@
 """Propose a map of a recording of any kind, by its names and numbers.
 
 A recording is one table, a table with rows of several kinds, a folder of tables, or a file of several tables; each is
-split into tables of one kind (`imuarray.importers.text_layout`), whose columns get a meaning
+split into tables of one kind (`imuarray.importers.text_layout`), and the meaning of their columns is inferred
 (`imuarray.importers.column_meaning`).
 """
 
@@ -47,7 +47,7 @@ from imuarray.printable import listed as listed_names
 
 def propose_map(path: Path, *, join_parts: bool = True) -> Proposal:
     """Propose a map of a recording; SourceError if nothing in it is recognised. With `join_parts`, files of a folder
-    that have the same columns and begin one after the other are taken for parts of one recording.
+    that have the same columns and begin one after the other are assumed to be parts of one recording.
     """
     reader = reader_of(path)
     if reader == ZIP:
@@ -142,7 +142,7 @@ def _propose_records(proposal: Proposal, source: RecordingRows, kind: str, names
 
 
 def _first_values(source: RecordingRows, name: str, kind: str) -> Floats:
-    """Return the first values of a column of numbers; none of another column."""
+    """Return the first values of a column of numbers; an empty array for another column."""
     for block, places in source.blocks([name], kind or None, LOOKED_AT_ROWS):
         values = block.column(places[0], name).values
         return np.zeros(0) if values is None else np.asarray(values, np.float64)
@@ -150,8 +150,8 @@ def _first_values(source: RecordingRows, name: str, kind: str) -> Floats:
 
 
 def _words_of_frames(source: RecordingRows, kind: str, listed: Sequence[str]) -> tuple[list[str], str]:
-    """Return the columns of frames of a CAN bus in the byte order in which they are smoother, and the quantity that
-    their length suggests.
+    """Return the columns of frames of a CAN bus in the byte order that gives the smoother values, and the quantity
+    inferred from their length.
     """
     numbers = {}
     for order in WORD_ORDERS:
@@ -195,7 +195,7 @@ class _Text(NamedTuple):
 
 
 def _propose_table(text: _Text) -> Proposal:
-    """Propose a map of a text with one table, whose rows may be of several instances of a sensor."""
+    """Propose a map of a text with one table. Its rows may belong to several instances of a sensor."""
     columns = columns_of(text.rows, text.layout)
     dates = _dates_of_rows(text.rows, text.names, columns)
     units = units_below_header(text.layout, text.names)
@@ -228,8 +228,8 @@ def _propose_table(text: _Text) -> Proposal:
 
 
 def _dates_of_rows(rows: Sequence[Sequence[str]], names: Sequence[str], columns: Sequence[Floats]) -> dict[int, str]:
-    """Return the columns of dates and the unit of each; none if they are those of packets, while another column has the
-    time of each row.
+    """Return the columns of dates and the unit of each; empty if the dates are those of packets and another column has
+    the time of each row.
     """
     dates = dates_of(rows)
     if not dates or len({row[min(dates)] for row in rows}) >= _FEW_DATES * len(rows):
@@ -240,7 +240,7 @@ def _dates_of_rows(rows: Sequence[Sequence[str]], names: Sequence[str], columns:
 
 
 _FEW_DATES = 0.5
-"""Share of the rows that have a date of their own, below which a column of numbers is the better time."""
+"""Number of different dates, as a share of the rows, below which a column of numbers is preferred as the time."""
 
 
 class _FolderFile(NamedTuple):
@@ -285,8 +285,8 @@ def _propose_folder(folder: Path, join_parts: bool) -> Proposal:
 
 
 def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFile]:
-    """Yield the texts of a folder from which sensors can be proposed, all of the layout of the first; add a doubt for
-    each of the others.
+    """Yield the texts of a folder from which sensors can be proposed, all with the layout of the first one; add a doubt
+    for each other file.
     """
     layout_lines: list[str] | None = None
     is_named = sum(bool(quantity_of(name)) for name in texts_in(folder)) > 1
@@ -333,19 +333,19 @@ def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile
 
 
 _LATER = 0.1
-"""Difference between the beginnings of two files, as a share of the first one's time, that sensors of one recorder do
-not have.
+"""Difference between the first times of two files, as a share of the duration of the first file, above which they are
+parts and not files of different sensors of one recorder.
 """
 
 
 def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
-    """Return the columns that hold a number: an Imu of a gyroscope alone has no acceleration."""
+    """Return the columns with at least one number: an Imu message from a gyroscope alone has no acceleration."""
     filled = [(name, values) for name, values in zip(names, columns, strict=True) if np.isfinite(values).any()]
     return [name for name, _ in filled], [values for _, values in filled]
 
 
 def _name_by_topic(item: Item, topic: str) -> None:
-    """Enter the name that the topic of one sensor of an array says."""
+    """Set the name of an item from the topic of one sensor of an array."""
     name = topic.removeprefix(_SENSOR_TOPICS).replace("/", "_")
     if topic.startswith(_SENSOR_TOPICS) and _NAME.fullmatch(name):
         item.call(name)
@@ -358,7 +358,7 @@ _ROS_UNITS: Mapping[str, str] = {
     "linear_acceleration.x": "m/s2", "angular_velocity.x": "rad/s", "magnetic_field.x": "T",
     "fluid_pressure": "Pa", "temperature": "degC",
 }  # fmt: skip
-"""Units of the columns of `sensor_msgs` (REP 103), of triads that of their first."""
+"""Units of the columns of `sensor_msgs` (REP 103); for triads, keyed by the first column."""
 _PROBE = """
 time = { rate_hz = 1 }
 sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 2], unit = "dps" }]
@@ -367,8 +367,8 @@ sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 
 
 
 def _full_labels(kind: str) -> list[str]:
-    """Return the labels of a row with the words and the unit that several share, which programs write once:
-    "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", "Y", "Z [rad/s]".
+    """Return the labels of a row, completed with the words and the unit that several labels share but programs write
+    once: "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", "Y", "Z [rad/s]".
     """
     names: list[str] = []
     stem, first = "", 0
@@ -386,8 +386,9 @@ def _full_labels(kind: str) -> list[str]:
 def _numbered_kinds(
     proposal: Proposal, kinds: list[str], described: dict[str, list[str]], rows: Sequence[Sequence[str]]
 ) -> list[str]:
-    """Return the kinds of rows; if a column numbers the sensors of one (an ArduPilot log has several IMU), those with
-    their numbers, which the map's `kind_column` then has, too. Kinds without a number in that column are left out.
+    """Return the kinds of rows; if a column numbers the sensors of a kind (an ArduPilot log has several IMU), return
+    the kinds with these numbers and add that column to the map's `kind_column`. Kinds without a number in that column
+    are omitted.
     """
     places = set()
     for kind in kinds:

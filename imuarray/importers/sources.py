@@ -43,7 +43,7 @@ class RecordingRows(Protocol):
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks about the file and what was left out, as sentences."""
+        """Remarks about the file and on omitted parts, as sentences."""
 
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the columns' names by kind of rows ("" if there is only one kind)."""
@@ -80,8 +80,8 @@ class TextRows:
 
 class FolderRows:
     """The rows of the texts in a folder or a zip file: one file for each sensor, as phones export them. The name of a
-    file, without its suffix, is the kind of its rows. Files that the map calls parts of one recording are joined, and
-    rows that two of them hold are kept once.
+    file, without its suffix, is the kind of its rows. Files that the map declares as parts of one recording are joined,
+    and rows that two of them have in common are kept once.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class FolderRows:
         self._files = {name: TextRows(path, output, table_map, progress) for name, path in texts_in(folder).items()}
         self._parts = {group[0]: group[1:] for group in table_map.file.parts}
         self.overlaps: dict[str, int] = {}
-        """Number of rows that a part repeats from those before it."""
+        """Number of rows of each part that repeat rows of the parts before it."""
 
     @property
     def remarks(self) -> list[str]:
@@ -112,7 +112,7 @@ class FolderRows:
         return {name: file.names()[""] for name, file in self._files.items()}
 
     def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Blocks:
-        """Yield the rows of the file that `kind` names, and of the parts that follow it; SourceError if there is none,
+        """Yield the rows of the file that `kind` names, and of the parts that follow it; SourceError without this file,
         or if parts overlap with different rows.
         """
         names = [kind or "", *self._parts.get(kind or "", ())]
@@ -138,7 +138,7 @@ class FolderRows:
             repeated = tail
 
     def _first_row(self, name: str, columns: Sequence[Reference]) -> Row | None:
-        """Return the cells of the first row of a file; None if it has none."""
+        """Return the cells of the first row of a file; None without rows."""
         for block, where in self._files[name].blocks(columns, None, 1):
             return tuple(str(block.columns[at][0]) for at in where)
         return None
@@ -171,19 +171,21 @@ def texts_in(folder: Path) -> dict[str, Path]:
 
 
 def stem_of(path: Path) -> str:
-    """Return the name of a text without its suffix; dots in it stay, as in times of recording."""
+    """Return the name of a text without its suffix; other dots in it are kept, for example those in times of
+    recording.
+    """
     name = path.name.lower()
     suffix = next((suffix for suffix in sorted(_TEXTS, key=len, reverse=True) if name.endswith(suffix)), path.suffix)
     return path.name[: len(path.name) - len(suffix)] if suffix else path.name
 
 
 MOST_UNPACKED = 1 << 34
-"""Most bytes that the texts in a zip file may have."""
+"""Maximum size in bytes of all texts in a zip file."""
 
 
 def zipped_texts(path: Path) -> list[zipfile.ZipInfo]:
-    """Return the texts in a zip file: those in its uppermost folder that has any; [] if the file is no zip file or
-    holds arrays of NumPy.
+    """Return the texts in a zip file: those in the uppermost folder with texts; [] if the file is not a zip file or
+    contains arrays of NumPy.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -230,7 +232,7 @@ READERS: Mapping[bytes, str] = {
 
 def reader_of(source: str | PathLike[str]) -> str | None:
     """Return the module that reads a binary file, a text of records or a folder of rows; None for a table of text, or a
-    folder of such. A folder with a metadata.yaml is taken for a ROS 2 bag.
+    folder of these. A folder with a metadata.yaml is assumed to be a ROS 2 bag.
     """
     path = Path(source)
     if path.is_dir():
@@ -270,10 +272,10 @@ PACKERS: Mapping[bytes, str] = {
     b"\x28\xb5\x2f\xfd": "zstd", b"\xfd7zXZ\0": "xz", b"BZh": "bzip2",
     b"7z\xbc\xaf\x27\x1c": "7-Zip", b"Rar!\x1a\x07": "RAR",
 }  # fmt: skip
-"""First bytes of compressed files that are not read, and what made them."""
+"""First bytes of compressed files that are not read, and the name of their format."""
 
 ZIP = "zip"
-"""A zip file with texts, which is read as their folder is."""
+"""Name of the reader of a zip file with texts, which is read like a folder of texts."""
 
 
 def open_rows(

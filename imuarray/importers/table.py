@@ -63,7 +63,7 @@ from imuarray.printable import counted, listed
 from imuarray.units import SI_PER_UNIT, UNITS_OF
 
 VANISHED = 0.3
-"""Difference of neighbouring values (rms, counts) below which the noise of a column is lost in rounding."""
+"""Difference of neighbouring values (rms, in counts) below which the noise of a column is lost by rounding."""
 
 
 def import_table(
@@ -136,13 +136,13 @@ def _import_format(
 
 
 class RowGroup(NamedTuple):
-    """The items of the map that share rows: a time column (None: a rate) and a kind."""
+    """The items of the map that share rows, with the same time column (None: a rate) and kind."""
 
     time_column: Reference | None
     kind: str | None
     items: tuple[RowSettings, ...]
     fraction_column: Reference | None = None
-    """The column of the rest of a second."""
+    """The column of the fraction of a second."""
 
     @property
     def columns(self) -> list[Reference]:
@@ -169,8 +169,8 @@ def _streams(table_map: TableMap) -> list[RowGroup]:
 def _inferred(
     plan: RowGroup, rows: RecordingRows, table_map: TableMap, block_rows: int
 ) -> Iterator[tuple[SensorTable, Resolution]]:
-    """Infer what the map leaves open: range and sensitivity of columns in a unit, the bits of codes whose range takes
-    more than 16. The recording is read once more for this.
+    """Infer the settings that the map does not state: range and sensitivity of columns in a unit, and the number of
+    bits of codes with a range of more than 16 bits. The recording is read once more for this.
     """
     open_ = [item for item in plan.items if isinstance(item, SensorTable) and _is_open(item)]
     largest = dict.fromkeys((sensor.name for sensor in open_), 0.0)
@@ -204,14 +204,14 @@ def _inferred(
 
 
 def _is_open(sensor: SensorTable) -> bool:
-    """Return whether the recording must say range, sensitivity or bits of a sensor."""
+    """Return whether range, sensitivity or bits of a sensor must be inferred from the recording."""
     if sensor.is_physical:
         return sensor.range is None or sensor.counts_per_unit is None or _has_wide_range(sensor)
     return sensor.bits is None and _has_wide_range(sensor)
 
 
 def _has_wide_range(sensor: SensorTable) -> bool:
-    """Return whether the range that the map states takes more than 16 bits."""
+    """Return whether the range in the map requires more than 16 bits."""
     return (sensor.range or 0.0) * (sensor.counts_per_unit or 0.0) > FULL_SPAN
 
 
@@ -272,12 +272,12 @@ def _barometer_header(item: BarometerTable) -> SensorHeader:
 
 
 def _missing(cells: Sequence[CellColumn]) -> Booleans:
-    """Return (n,) rows in which a cell of a sensor holds no value: a triad with two axes is not a reading."""
+    """Return (n,) rows in which at least one cell of a sensor has no value: a triad with two axes is not a reading."""
     return np.asarray(np.any([cell.blank() for cell in cells], axis=0), bool)
 
 
 def _blank(cells: Sequence[CellColumn]) -> Booleans:
-    """Return (n,) rows in which no cell of a sensor holds a value: they belong to other sensors of the table."""
+    """Return (n,) rows in which no cell of a sensor has a value: they belong to other sensors of the table."""
     return np.asarray(np.all([cell.blank() for cell in cells], axis=0), bool)
 
 
@@ -301,13 +301,15 @@ def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> lis
 
 
 _UNIT_LENGTH = 0.05
-"""Largest deviation of the length of a quaternion from 1; others, such as zeros before a program knows it, are none."""
+"""Largest deviation of the length of a quaternion from 1; other values, for example zeros before a program has an
+estimate, are not attitudes.
+"""
 
 
 def _up_in_sensor(quaternion: Floats) -> Floats:
-    """Return the direction of up (3, n) in the sensor's axes from unit quaternions (4, n), w first, that turn these
-    axes to a level frame; nan where it is not one. It is the third row of the rotation matrix (Diebel, "Representing
-    attitude", 2006, equation 125).
+    """Return the upward direction (3, n) in the sensor's axes from unit quaternions (4, n), w first, that turn these
+    axes to a level frame; nan where the length is not 1. It is the third row of the rotation matrix (Diebel,
+    "Representing attitude", 2006, equation 125).
     """
     length = np.linalg.norm(quaternion, axis=0)
     is_unit = np.abs(length - 1) < _UNIT_LENGTH
@@ -342,7 +344,7 @@ class _Rounding:
         if self.rows < 2:
             return ""
         off, noise = np.sqrt(self._off / self.rows), np.sqrt(self._steps / (self.rows - 1))
-        vanishing = (noise > 0) & (noise < VANISHED)  # values that never change are not rounded away
+        vanishing = (noise > 0) & (noise < VANISHED)  # values that never change are not lost by rounding
         if vanishing.any() and (off > 1e-3).any():
             axes = "".join("xyz"[axis] for axis in np.flatnonzero(vanishing))
             change = float(noise[vanishing].min())
@@ -379,11 +381,13 @@ class _Stream:
         self._rounding = {item.name: _Rounding(item.counts_per_unit is None) for item in triads if item.is_physical}
 
     def in_order(self, blocks: Blocks) -> Blocks:
-        """Yield the rows in the order of their times, if the map wants that."""
+        """Yield the rows, sorted by time if the map requires it."""
         return self._order.in_order(blocks) if self._order is not None else blocks
 
     def _stamps(self, block: CellBlock, places: Sequence[int]) -> Times:
-        """Return the time of each row; a row without time, or of zeros as padding is, has that of the row before."""
+        """Return the time of each row; a row without time, or of zeros only (padding), has the time of the row
+        before.
+        """
         cell = block.column(places[0], repr(self.plan.time_column))
         timed = ~(cell.blank() | _zeros(cell))
         stamps = np.concatenate([self._last_stamp, self._clock.stamps(cell.where(timed))])
@@ -502,7 +506,7 @@ class _Stream:
         self.rows_of[item.name] += len(degrees)
 
     def _add_pressures(self, item: BarometerTable, cells: dict[Reference, CellColumn], time: Times) -> None:
-        """Write pressures, and as counts the same in whole pascals."""
+        """Write pressures, and their values in whole pascals as counts."""
         filled = ~cells[item.column].blank()
         pressure = numbers(cells[item.column].where(filled)) * PA_PER_UNIT[item.unit]
         whole = np.clip(np.rint(pressure), INT32[0], INT32[1]).astype(np.int32)
@@ -527,7 +531,7 @@ class _Stream:
         self.log.stimulus("reference", Stimulus(time[filled], triads[0], triads[1], warm))
 
     def remarks(self) -> Iterator[str]:
-        """Return what was changed or left out, as sentences."""
+        """Return sentences on changed and omitted values."""
         if self.padding:
             yield f"{counted(self.padding, 'row')} of zeros only, time included, left out as padding"
         if self._order is not None and self._order.late:
@@ -646,7 +650,7 @@ class _Recording:
         return [*(text for stream in self.streams for text in stream.remarks()), *self._counted_out]
 
     def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
-        """Return what was inferred, changed and left out, as sentences."""
+        """Return sentences on inferred, changed and omitted values."""
         names_by_remark: dict[str, list[str]] = {}
         of_codes = {sensor.name for sensor in self._map.sensor if not sensor.is_physical}
         for name, resolution in learnt.items():

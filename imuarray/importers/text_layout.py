@@ -1,4 +1,5 @@
-"""How a text of a recording is split into cells: delimiter, decimal mark, header, comments, kinds of rows, dates.
+"""Layout of a recording's text, by which it is split into cells: delimiter, decimal mark, header, comments, kinds of
+rows, dates.
 
 Everything is inferred from the first rows of the text.
 """
@@ -37,12 +38,12 @@ _HEAD_BYTES = 1 << 20
 _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "%", "//")
 _PLAIN = 0.95
-"""Share of rows of one width that begin with a number, from which on a text is one table."""
+"""Least share of rows that have one width and begin with a number in a text with a single table."""
 
 
 @dataclass
 class TextLayout:
-    """The way in which a text is split into cells."""
+    """The layout of a text: the settings by which it is split into cells."""
 
     delimiter: str = ","
     decimal: str = "."
@@ -56,7 +57,7 @@ class TextLayout:
     unit_cells: tuple[str, ...] = ()
     """Cells of a row of units below the header."""
     rate_hz: float | None = None
-    """The rate of the rows that the lines above the table state."""
+    """The rate of the rows as stated in the lines above the table."""
     rate_source: str = ""
     """The line that states it."""
 
@@ -81,7 +82,7 @@ _Row = tuple[int, list[str]]
 
 
 def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
-    """Return the layout of a text, its columns' names ([] of a table without a header), and some rows; SourceError."""
+    """Return the layout of a text, its columns' names ([] for a table without a header), and some rows; SourceError."""
     whole = _first_lines(path)
     lines = [(number, plain_sentence(line.strip("\r\0 "))) for number, line in enumerate(whole)]
     lines = [(number, line) for number, line in lines if line and "\0" not in line and not is_rule(line)]
@@ -121,7 +122,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
 
 
 def _first_lines(path: Path) -> list[str]:
-    """Return the first lines of a text, whole ones; SourceError."""
+    """Return the first complete lines of a text; SourceError."""
     with open_source(path, path.with_suffix(".guess")) as file:
         data = decompress(file).read(_HEAD_BYTES)
     text = data.decode("utf-16" if is_utf16(data) else "utf-8-sig", WINDOWS_1252)
@@ -130,13 +131,13 @@ def _first_lines(path: Path) -> list[str]:
 
 
 def _is_of_numbers(row: Sequence[str], layout: TextLayout) -> bool:
-    """Return whether half of a row's cells or more hold a number or nothing, and one a number."""
+    """Return whether at least half of a row's cells are numbers or empty, and at least one is a number."""
     numbers = [cell for cell in row if is_number(cell, layout)]
     return 2 * len(numbers) >= len(row) and any(cell.strip() for cell in numbers)
 
 
 def _are_of_kinds(rows: Sequence[Sequence[str]], layout: TextLayout) -> bool:
-    """Return whether rows begin with words that alternate, or are of several widths, or are sentences."""
+    """Return whether rows begin with alternating words, have several widths, or are sentences."""
     heads = [row[0] for row in rows if row]
     words = {head for head in heads if not is_number(head, layout)}
     worded = sum(head in words for head in heads) > 0.9 * len(heads)
@@ -154,7 +155,7 @@ def _header(
     layout: TextLayout, remarks: Sequence[_Row], rows: Sequence[_Row], first: int, whole: Sequence[str]
 ) -> list[str]:
     """Return the names of the columns of a table whose first row of numbers is `rows[first]`: the row above, ignoring
-    rows of units, or else the last of the `remarks` above; [] if there are none. The information in the lines above is
+    rows of units, or else the last of the `remarks` above; [] if there are none. Information in the lines above is
     stored in the layout.
     """
     number, cells = rows[first]
@@ -171,8 +172,8 @@ def _header(
 
 
 def _padded(rows: list[_Row]) -> list[_Row]:
-    """Return rows of several widths below a header that is as wide as the widest, all as wide as it: readings of
-    several kinds have different numbers of values.
+    """Return rows of several widths, below a header as wide as the widest row, extended to the width of the header:
+    readings of several kinds have different numbers of values.
     """
     width = len(rows[0][1])
     widths = [len(row) for _, row in rows[1:]]
@@ -205,7 +206,7 @@ _RATE = re.compile(
 
 
 def _stated_rate(lines: Sequence[str]) -> tuple[float | None, str]:
-    """Return the rate of the rows that lines above a table state, and the line; None, "" without one."""
+    """Return the rate of the rows as stated in the lines above a table, and the line; None, "" without one."""
     for line in lines:
         if (match := _RATE.search(line)) is not None:
             rate_hz = float(match["named"] or match["hertz"])
@@ -215,12 +216,12 @@ def _stated_rate(lines: Sequence[str]) -> tuple[float | None, str]:
 
 
 _UNIX_S = (3e8, 4e9)
-"""Times in seconds since 1970 of recordings."""
+"""Range of plausible times of a recording in seconds since 1970."""
 
 
 def _rate_in_cells(rows: Sequence[_Row]) -> tuple[int, float, str] | None:
-    """Return the rows to skip, the rate and its source of a table that begins with its time of beginning and its rate,
-    once in each column (as Empatica's wristbands write it); None for others.
+    """Return the number of rows to skip, the rate and its source for a table that begins with a row of its start time
+    and a row of its rate, repeated in each column (Empatica's wristbands); None for other tables.
     """
     if len(rows) < 4 or not all(is_number(cell, TextLayout()) and cell.strip() for _, row in rows[:2] for cell in row):
         return None
@@ -234,11 +235,11 @@ def _rate_in_cells(rows: Sequence[_Row]) -> tuple[int, float, str] | None:
 
 
 _MOSTLY = 0.9
-"""Share of lines whose values have labels, from which on a text is one of labelled values."""
+"""Least share of lines with labelled values in a text of labelled values."""
 
 
 def _labelled_share(lines: Sequence[str], delimiter: str) -> float:
-    """Return the share of lines whose cells are values with labels; more cells count a little more."""
+    """Return the share of lines with only labelled values, plus a small amount for the number of cells."""
     rows = [labelled(split_cells(line, delimiter)) for line in lines]
     rows = [row if row and 2 * row[0].split(",").count("") < len(row) else [] for row in rows]
     return sum(bool(row) for row in rows) / len(rows) + 1e-4 * min(sum(map(len, rows)) / len(rows), 100)
@@ -255,7 +256,7 @@ def _fitness(lines: Sequence[str], delimiter: str) -> float:
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line; [] of one that is no text."""
+    """Return the cells of a line; [] for a line that is not text."""
     try:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
@@ -263,7 +264,7 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 
 
 def is_number(cell: str, layout: TextLayout) -> bool:
-    """Return whether a cell holds a number or nothing."""
+    """Return whether a cell is a number or empty."""
     text = cell.strip().replace(",", ".") if layout.decimal == "," else cell.strip()
     try:
         number_of(text)
@@ -301,7 +302,7 @@ _DATES: Sequence[tuple[str, str]] = (
     (r"\d\d?:\d\d:\d\d", "%H:%M:%S.%f"),
     (r"\d\d?:\d\d\.\d+$", "%M:%S.%f"),
 )
-"""How dates and times are written, and the unit that a map states for them."""
+"""Patterns of dates and times, and the unit that a map states for them."""
 
 
 def _is_date(cell: str) -> bool:
@@ -325,12 +326,12 @@ def dates_of(rows: Sequence[Sequence[str]]) -> dict[int, str]:
 
 
 _CLOCK = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d\.\d+")
-"""A time of day as GPS receivers write it (NMEA 0183): 235959.98."""
+"""Pattern of a time of day as written by GPS receivers (NMEA 0183): 235959.98."""
 
 
 def _is_clock(cells: Sequence[str]) -> bool:
-    """Return whether numbers are times of day: all have such digits, and they step by 40 more after second 59, as
-    seconds do not.
+    """Return whether numbers are times of day: all have the digits of one, and they step by 40 more than the interval
+    after second 59, which seconds do not.
     """
     if not all(map(_CLOCK.fullmatch, cells)):
         return False
@@ -345,8 +346,8 @@ def quoted(text: str) -> str:
 
 
 def names_by_kind(path: Path) -> dict[str, list[str]]:
-    """Return the columns' names of each kind of rows, as the FMT rows of an ArduPilot log say them, and of sentences
-    that are known.
+    """Return the columns' names of each kind of rows, as stated in the FMT rows of an ArduPilot log, and those of known
+    sentences.
     """
     with open_source(path, path.with_suffix(".guess")) as file:
         lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
@@ -368,7 +369,7 @@ SENTENCES: Mapping[str, list[str]] = {
     "RAWIMUXA": [*_HEAD, "info", "type", *_INCREMENTS],
     "RAWIMUSXA": [*_HEAD[:2], "info", "type", *_INCREMENTS],
 }
-"""Columns of sentences behind their names: VectorNav's sensors (VN-100 user manual, ASCII messages), and NovAtel's
+"""Columns of sentences after their names: VectorNav's sensors (VN-100 user manual, ASCII messages), and NovAtel's
 RAWIMU (OEM7 commands and logs reference manual), whose increments are in the order z, -y, x.
 """
 

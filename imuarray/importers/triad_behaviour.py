@@ -1,6 +1,6 @@
-"""Quantities that the values of columns show: gravity has one length and turns as a gyroscope says, quaternions have
-length 1, labels are constant. The specific forces of a box that is turned slowly lie on a sphere, whose radius is 1 g
-and whose centre is the biases.
+"""Quantities inferred from the values of columns: gravity has a constant length and turns in agreement with a
+gyroscope, quaternions have length 1, labels are constant. The specific forces of a box that is turned slowly lie on a
+sphere with a radius of 1 g and the biases as its centre.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NEAR_GRAVITY = 0.15
 
 
 def is_computed_gravity(columns: Sequence[Floats], indices: tuple[int, int, int]) -> bool:
-    """Return whether a triad is gravity from a filter: its length is 1, or g, to a thousandth while it turns."""
+    """Return whether a triad is gravity from a filter: its length is 1 or g to a thousandth while it turns."""
     lengths = _lengths(columns, indices)
     if not len(lengths) or not keeps_its_length(columns, indices):
         return False
@@ -30,16 +30,20 @@ def is_computed_gravity(columns: Sequence[Floats], indices: tuple[int, int, int]
 _MOST_LABELS = 64
 _KNOWN_SHARE = 0.5
 _UNIT_LENGTH = 2e-3
-"""Scatter of the length of a quaternion, or of gravity from a filter, relative to it: no sensor scatters so little."""
+"""Largest relative scatter of the length of a quaternion, or of gravity from a filter; that of any sensor's readings is
+larger.
+"""
 
 _FOLLOWS_GRAVITY = 0.35
-"""Correlation between the change of gravity and that by a rate from which on the rate is that of a gyroscope."""
+"""Least correlation between the change of gravity and the change computed from a rate that identifies the rate of a
+gyroscope.
+"""
 
 _SMOOTHED_ROWS = 5
 
 
 def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Yield the triads that behave like gravity, and like the rates and fields of sensors beside them."""
+    """Yield the triads that behave like gravity, and the triads next to them that behave like rates and fields."""
     candidates = [index for index in free if not is_label(columns[index])]
     forces: list[tuple[int, int, int]] = []
     runs: list[list[int]] = [[]]
@@ -64,7 +68,7 @@ def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator
         for first in range(0 if number else len(run) % 3, len(run) - 2, 3)
     ]
     rates = [triad for triad in rest if any(_turns_gravity(columns, triad, force) for force in forces)]
-    if not rates:  # at rest, the first triad after a force is taken for a rate, and the second for a field
+    if not rates:  # at rest, the first triad after a force is assumed to be a rate, and the second a field
         firsts = {run[0] for run in runs[1:] if len(run) >= 3}
         seconds = {run[3] for run in runs[1:] if len(run) >= 6}
         yield from (("angular_rate", triad) for triad in rest if triad[0] in firsts)
@@ -76,7 +80,9 @@ def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator
 
 
 def is_label(values: Floats) -> bool:
-    """Return whether a column is constant, mostly empty, or has few whole numbers, as labels of activities are."""
+    """Return whether a column is constant, mostly empty, or has few different whole numbers, for example labels of
+    activities.
+    """
     finite = values[np.isfinite(values)]
     if len(finite) < _KNOWN_SHARE * len(values):
         return True
@@ -85,7 +91,7 @@ def is_label(values: Floats) -> bool:
 
 
 def _lengths(columns: Sequence[Floats], indices: Sequence[int]) -> Floats:
-    """Return the lengths (n,) of the rows that are known."""
+    """Return the lengths (n,) of the rows without missing values."""
     values = np.stack([columns[index] for index in indices], axis=1)
     return np.asarray(np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1))
 
@@ -106,7 +112,7 @@ def is_steady_gravity(columns: Sequence[Floats], indices: Sequence[int]) -> bool
 
 
 def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force: tuple[int, int, int]) -> bool:
-    """Return whether gravity turns as a rate says, df/dt = -omega x f, in any unit of both."""
+    """Return whether gravity turns in agreement with a rate, df/dt = -omega x f, for any unit of both."""
     w, f = (np.stack([columns[index] for index in triad], axis=1) for triad in (rate, force))
     finite = np.isfinite(w).all(axis=1) & np.isfinite(f).all(axis=1)
     kernel = np.ones(_SMOOTHED_ROWS) / _SMOOTHED_ROWS
@@ -121,7 +127,7 @@ def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force:
 
 
 def keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
-    """Return whether a triad turns without getting longer, as gravity does in a sensor that is turned."""
+    """Return whether a triad turns at constant length, like gravity in a sensor that is turned."""
     values = np.stack([columns[index] for index in triad], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
