@@ -57,6 +57,7 @@ from imuarray.gap.findings.verdict import (
     judge,
     sentence_of,
     unknown_probability,
+    with_limits,
 )
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.comparison import (
@@ -405,7 +406,9 @@ def _report(
     against, pulls = tuple(recording.name for recording in case.earlier), _pulls(case, causes)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence_of(judgement, where, remainder.where, in_use, pulls, against),
+        sentence=with_limits(
+            sentence_of(judgement, where, remainder.where, in_use, pulls, against), verdict, unobservable
+        ),
         p=case.as_noted.localisation.p,
         gap=gap,
         where=where,

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where
-from imuarray.gap.findings.verdict import Judgement, sentence_of
+from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Unobservable, Verdict, Where
+from imuarray.gap.findings.verdict import Judgement, sentence_of, with_limits
 from imuarray.gap.model.use import IntervalEstimate, Use
 from imuarray.simulate.effects import EFFECTS, meaning
 
@@ -46,6 +46,17 @@ def use(sensor: str, real: float, before: float, after: float) -> Use:
 def test_the_sentence_without_a_gap() -> None:
     said = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
     assert said == "The recordings agree with the simulator: no statistic is beyond chance."
+
+
+def test_the_sentence_without_a_gap_states_how_many_effects_cannot_be_observed() -> None:
+    hidden = [Unobservable("scale", ("A1",), "z_down"), Unobservable("differences of spread", ("A1",), "4 minutes")]
+    assert with_limits("They agree.", "no gap", hidden) == (
+        "They agree. Only what could be compared agrees; "
+        f"1 of {len(EFFECTS)} known effects cannot be observed with every"
+        " sensor; the recordings are too short to exclude differences of noise."
+    )
+    assert with_limits("They differ.", "unexplained", hidden) == "They differ."
+    assert with_limits("They agree.", "no gap", []) == "They agree."
 
 
 def test_parts_out_of_specification_are_reported_with_and_without_a_gap() -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Unobservable
 from imuarray.gap.findings.text import WIDTH, text_of
+from imuarray.simulate.effects import EFFECTS
 from tests.report.made_diagnosis import CAUSES, PULLS, made, made_unexplained, made_without_gap, where
 
 SIZE_EFFECT = Cause(
@@ -197,10 +198,22 @@ def test_unobservable_effects_are_sorted_by_experiment_and_sensors() -> None:
 
 
 def test_the_text_without_a_gap() -> None:
-    text = text_of(made_without_gap())
+    text = text_of(replace(made_without_gap(), unshown=()))
     assert "Verdict  no gap: no statistic differs beyond chance\nChance   p = 0.41\n" in text
     for absent in ("Causes", "Where it differs", "Unknown", "Check", "Next experiment", "pecification", "Missing"):
         assert absent not in text
+
+
+def test_what_the_recordings_cannot_show_follows_the_verdict_of_no_gap() -> None:
+    """Two effects, one of them in two lines, and two domains."""
+    effects = [Unobservable(effect, (name,), "") for effect, name in (("scale", "A"), ("scale", "G"), ("skew", "G"))]
+    domains = [Unobservable(f"differences of {domain}", ("A",), "") for domain in ("level", "cross sensor")]
+    hidden = (*effects, *domains)
+    verdict, limits = "no statistic differs beyond chance", f"2 of {len(EFFECTS)} known effects cannot be observed"
+    short = "the recordings are too short to exclude differences of mean reading and correlation between axes and"
+    text = said(replace(made_without_gap(), unshown=hidden))
+    assert f"{verdict} Limits only what could be compared agrees; {limits} with every sensor; {short} sensors" in text
+    assert "Limits" not in said(replace(made(), unshown=hidden))
 
 
 def test_the_text_of_an_unexplained_gap() -> None:

@@ -16,6 +16,8 @@ from imuarray.gap.findings.diagnosis import (
     Gap,
     Interval,
     Pull,
+    Unobservable,
+    Verdict,
     Where,
     needs_both_parts,
 )
@@ -23,7 +25,7 @@ from imuarray.gap.model.use import Use
 from imuarray.gap.statistics.synthetic_likelihood import LARGEST_SCORE
 from imuarray.printable import counted, listed, series
 from imuarray.simulate.effect import FOREVER_S
-from imuarray.simulate.effects import meaning
+from imuarray.simulate.effects import EFFECTS, meaning
 from imuarray.units import READABLE
 
 NOTHING = "–"
@@ -189,6 +191,26 @@ def effect_text(cause: Cause) -> str:
     if cause.action == "remove":
         return f"no {cause.effect} (the simulator has it)"
     return f"{cause.effect} other than the simulator's" if cause.action == "replace" else cause.effect
+
+
+def limits_text(verdict: Verdict, unshown: Sequence[Unobservable]) -> str:
+    """State how many effects recordings without a gap cannot show, and for which differences they are too short; "" if
+    none, and with a gap.
+    """
+    names = list(dict.fromkeys(item.effect for item in unshown))
+    if verdict != "no gap" or not names:
+        return ""
+    domains = [domain_text(_domain_of(name)) for name in names if name.startswith(DIFFERENCES)]
+    effects = len(names) - len(domains)
+    texts = ["only what could be compared agrees"]
+    texts += [f"{effects} of {len(EFFECTS)} known effects cannot be observed with every sensor"] if effects else []
+    texts += [f"the recordings are too short to exclude differences of {series(domains)}"] if domains else []
+    return "; ".join(texts)
+
+
+def _domain_of(effect: str) -> str:
+    """Return the domain in the `effect` of an `Unobservable` that begins with `DIFFERENCES`."""
+    return effect.removeprefix(DIFFERENCES).replace(" ", "_")
 
 
 def domain_text(domain: str) -> str:
@@ -466,6 +488,8 @@ Line = tuple[str, str]
 def _verdict(diagnosis: Diagnosis) -> Iterator[Line]:
     reason = f": {diagnosis.reason}" if diagnosis.reason else ""
     yield "Verdict  ", f"{diagnosis.verdict}{reason}"
+    if limits := limits_text(diagnosis.verdict, diagnosis.unshown):
+        yield "Limits   ", limits
     yield "Chance   ", chance_text(diagnosis)
     if diagnosis.unknown > 0:
         yield "Unknown  ", f"{share(diagnosis.unknown)} that something outside the library of effects is present"
@@ -625,7 +649,7 @@ def _too_short(diagnosis: Diagnosis) -> Iterator[Line]:
     lengths: dict[str, list[str]] = {}
     for item in diagnosis.unshown:
         if item.effect.startswith(DIFFERENCES):
-            domain = domain_text(item.effect.removeprefix(DIFFERENCES).replace(" ", "_"))
+            domain = domain_text(_domain_of(item.effect))
             lengths.setdefault(names_text(item.sensors), []).append(f"{domain} ({item.record})")
     if lengths:
         yield "", "Too short to exclude differences that matter, and what to record"

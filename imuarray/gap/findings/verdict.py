@@ -29,6 +29,7 @@ from imuarray.gap.findings.diagnosis import (
     Gap,
     Interval,
     Pull,
+    Unobservable,
     Verdict,
     Where,
     needs_both_parts,
@@ -38,6 +39,7 @@ from imuarray.gap.findings.text import (
     domain_text,
     effect_text,
     explained_pulls_text,
+    limits_text,
     off_text,
     parameters_text,
     place_text,
@@ -426,6 +428,12 @@ def sentence_of(
         at = f" in {remaining.phase}" if remaining.phase else ""
         parts.append(f"Not explained: {readable_statistic(remaining).about}, {place_text(remaining)}{at}.")
     return " ".join([*parts, *_out_of_specification(pulls)])
+
+
+def with_limits(sentence: str, verdict: Verdict, unshown: Sequence[Unobservable]) -> str:
+    """Return the paragraph of `sentence_of` with what the recordings cannot show, if they have no gap."""
+    limits = limits_text(verdict, unshown)
+    return f"{sentence} {limits[0].upper()}{limits[1:]}." if limits else sentence
 
 
 def _named(cause: Cause) -> str:
