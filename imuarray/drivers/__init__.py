@@ -1,5 +1,5 @@
-"""One driver a chip. To add a chip: its registers in `imuarray.facts`, its entry in `imuarray.chips`, a file here, a
-line below; docs/how_to/extend.md lists the other steps.
+"""One driver per chip. A new chip needs its registers in `imuarray.facts`, its entry in `imuarray.chips`, a file here
+and a line below; docs/how_to/extend.md lists the other steps.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ HIGH_RESOLUTION_DRIVERS: dict[str, type[Driver]] = {
     "icm42688_acc": Icm42688HighResolution,
     "icm42688_gyro": Icm42688HighResolution,
 }
-"""Drivers of chips whose queue delivers counts of more bits (`high_resolution = true`)."""
+"""Drivers of chips with a queue that delivers counts of more bits (`high_resolution = true`)."""
 
 
 def driver_of(sensor: SensorConfig) -> type[Driver]:

@@ -1,8 +1,8 @@
 """ADXL345 accelerometer. Analog Devices data sheet Rev. E (2015); facts ADX-*.
 
-There is no reset (ADX-31), so every register that affects readings is written. Full resolution: 256 counts per g in
-every range (ADX-40), right-justified, low byte first (ADX-45). One burst carries INT_SOURCE, DATA_FORMAT and the triad,
-0x30 ... 0x37. The queue gives one set a transaction (ADX-05, ADX-55).
+There is no reset (ADX-31), so every register that affects readings is written. Full resolution has 256 counts per g in
+every range (ADX-40), right-justified, low byte first (ADX-45). One burst contains INT_SOURCE, DATA_FORMAT and the
+triad, 0x30 ... 0x37. A transaction reads one set of the queue (ADX-05, ADX-55).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FIFO_DEPTH = 32  # ADX-51
 _LSB_PER_G = 256.0  # ADX-40
 _SELF_TEST_RATE = 0xC  # 400 Hz, among the rates at which the limits hold: ADX-58
 _SELF_TEST_SAMPLES = 32
-_SELF_TEST_STILL_G = 0.05  # a quarter of the smallest limit; noise at 400 Hz is 0.009 g at most: ADX-68
+_SELF_TEST_STILL_G = 0.05  # a quarter of the smallest limit; the noise at 400 Hz is at most 0.009 g: ADX-68
 _SELF_TEST_G = ((0.20, 2.10 * 1.77), (-2.10 * 1.77, -0.20), (0.30, 3.40 * 1.47))  # 2.5 V to 3.3 V: ADX-58
 
 
@@ -144,7 +144,7 @@ class Adxl345Fifo(Adxl345):
         except OSError:
             if not sets:
                 raise
-        unread = entries - len(sets)  # newer than those that were read, and still in the queue
+        unread = entries - len(sets)  # newer than the sets that were read, and still in the queue
         self.queue.times(len(sets), at_ns, entries >= _FIFO_DEPTH, until_ns=until_ns, unread=unread)
         return b"".join(sets)
 

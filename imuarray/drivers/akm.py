@@ -27,7 +27,7 @@ from imuarray.log.format import OVERRUN, SATURATED, STALE
 _MODES = {8.0: 0b0010, 100.0: 0b0110}  # AKM-13
 _POWER_DOWN, _SELF_TEST_MODE, _FUSE_ROM = 0b0000, 0b1000, 0b1111
 _MODE_CHANGE_S = 0.001  # 100 us: AKM-13
-_MEASURED_S = 0.010  # 9 ms at the most: AKM-14
+_MEASURED_S = 0.010  # at most 9 ms: AKM-14
 _SELF_TEST = ((-200.0, 200.0), (-200.0, 200.0), (-3200.0, -800.0))  # AKM-15, 16 bits, adjusted
 
 
@@ -142,22 +142,22 @@ class Ak8963(ChipDriver):
         return DecodedBursts(counts, None, status | flagged(bursts[:, 7], ak8963.OVERFLOW.mask, SATURATED))
 
     def header(self) -> Mapping[str, int]:
-        """Return the adjustment of the sensitivity: a field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
+        """Return the adjustment of the sensitivity: the field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
         return dict(zip(("asa_x", "asa_y", "asa_z"), self.adjustment, strict=True))
 
 
 _SINGLE = 0b0001
 _PERIOD_NS = 9_500_000
-"""Shortest time from one measurement to the next at 100 Hz: a poll may be early."""
+"""Shortest time in ns from one measurement to the next at 100 Hz: less than a period, because a poll may be early."""
 _LONGEST_NS = 20_000_000
-"""A measurement that is not over after this time never began: twice the longest time that any source states
-(AKM-25).
+"""Time in ns after which a measurement that is not finished counts as not started: twice the longest time that any
+source states (AKM-25).
 """
 
 
 class Ak8975(Ak8963):
-    """Driver of one AK8975. It measures only on command: a call reads the last measurement and starts the next, so that
-    a reading was measured right after the previous call, at most 100 times a second.
+    """Driver of one AK8975. It measures only on command: a call reads the last measurement and starts the next. A
+    reading was therefore measured right after the previous call, at most 100 times per second.
     """
 
     host_name: ClassVar[str] = "MPU-9150"
@@ -187,8 +187,8 @@ class Ak8975(Ak8963):
         self.registers.poke(ak8975.CNTL, self.mode.value)
 
     def fetch(self) -> bytes:
-        """Read 0x02 ... 0x09: ST1, x, y, z, ST2; then start a new measurement if that one is over: a write of the mode
-        would abort it (AKM-23, DEC-235).
+        """Read 0x02 ... 0x09: ST1, x, y, z, ST2; then start a new measurement if the last one is finished: a write of
+        the mode would abort it (AKM-23, DEC-235).
         """
         block = self.registers.peek(ak8975.ST1, self.burst)
         self._is_over |= bool(block[0] & ak8975.DATA_READY.mask)

@@ -1,9 +1,9 @@
 """Bosch's barometers, which measure once on command and sleep otherwise: BMP180 (data sheet v2.8, 2015; facts BMP-11 to
 -99), BMP280 (BST-BMP280-DS001 rev. 1.23; BMP-101 to -126) and BMP388 (BST-BMP388-DS001 rev. 1.0; BMP-201 to -223).
 
-No call waits for a measurement: each call of `fetch` checks whether the started one must be over by now, and starts the
-next when it is due. Every reading is therefore new, and its time is known. The conversion of the words to degrees and
-pascals is in `imuarray.barometer`.
+No call waits for a measurement: each call of `fetch` checks whether the time of the measurement in progress is over,
+and starts the next one when it is due. Every reading is therefore new, and its time is known. `imuarray.barometer`
+converts the words to degrees and pascals.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _SOFT_RESET = 0xB6  # BMP-104, BMP-204
 _FORCED = 0b01  # BMP-107, BMP-207
 
 _CALLS = 3
-"""The number of late calls in a row after which calls are considered rare rather than interrupted."""
+"""Number of late calls in a row after which calls are considered rare rather than interrupted."""
 
 
 class OnDemandBarometer(ChipDriver):
-    """The common part of their drivers: the time at which a result is read, and a check in place of the missing
-    self-test.
+    """The common part of the barometers' drivers: the time at which a result is read, and a check in place of the
+    missing self-test.
 
     `facts` has the registers. `reset`: the register of the reset, which takes `start_up_s`. The calibration
     words have `word_bytes` bytes each and are signed but for those named `unsigned`; the formulas multiply and divide
@@ -56,7 +56,7 @@ class OnDemandBarometer(ChipDriver):
     tells_fresh: ClassVar[bool] = True
     conversions_ns: ClassVar[tuple[int, ...]]
     lasting_ns: ClassVar[int] = 100_000_000
-    """An older result is not used as a new one, unless every call is so late."""
+    """Age in ns above which a result is not used as a new one, unless calls are rare."""
     limits_pa: ClassVar[tuple[float, float]]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
@@ -72,7 +72,7 @@ class OnDemandBarometer(ChipDriver):
 
     @property
     def ready_ns(self) -> int | None:
-        """The end of the measurement in progress; None if there is none."""
+        """The end of the measurement in progress, in ns; None if there is none."""
         return self._done_ns
 
     def begin(self) -> None:
@@ -135,7 +135,7 @@ class OnDemandBarometer(ChipDriver):
 
     def _result_due_ns(self, now_ns: int) -> int | None:
         """Return the end of the measurement in progress; None if there is none, or if its result would be too old in
-        this call. Where calls are rare, it may be as old as the call interval.
+        this call. Where calls are rare, a result may be as old as twice the shortest of the last call intervals.
         """
         seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
         if self._called_ns is not None:
@@ -169,7 +169,7 @@ class ForcedBarometer(OnDemandBarometer):
     force: ClassVar[Setting]
 
     def is_over(self, head: bytes) -> bool:
-        """Return whether the requested measurement is over, by the bytes before the reading."""
+        """Return whether the requested measurement is finished, from the bytes before the reading."""
         raise NotImplementedError
 
     def fetch(self) -> bytes:
@@ -277,7 +277,7 @@ class Bmp280(ForcedBarometer):
     settings: ClassVar[tuple[Setting, ...]] = (bmp280.STANDBY(0) | bmp280.FILTER(0) | bmp280.SPI_THREE_WIRE(0),)
     conversions_ns: ClassVar[tuple[int, ...]] = (43_225_000,)  # 1.25 ms + 2.3 ms a sample + 0.575 ms: BMP-109
     first: ClassVar[Register] = bmp280.STATUS
-    head: ClassVar[int] = 4  # status, both settings, and a register that is not there
+    head: ClassVar[int] = 4  # status, both settings, and a register that does not exist
     busy: ClassVar[int] = bmp280.MEASURING.mask
     force: ClassVar[Setting] = (
         bmp280.TEMPERATURE_OVERSAMPLING(0b010) | bmp280.PRESSURE_OVERSAMPLING(0b101) | bmp280.MODE(_FORCED)
@@ -285,7 +285,7 @@ class Bmp280(ForcedBarometer):
     limits_pa: ClassVar[tuple[float, float]] = (30_000.0, 110_000.0)  # BMP-124
 
     def is_over(self, head: bytes) -> bool:
-        """Return whether it sleeps, with the configured oversampling: a chip that was reset has none (BMP-105,
+        """Return whether the chip sleeps with the configured oversampling: a chip that was reset has none (BMP-105,
         BMP-107).
         """
         asleep = Setting(self.force.register, self.force.mask, self.force.value & ~bmp280.MODE.mask)
@@ -299,7 +299,7 @@ class Bmp280(ForcedBarometer):
 
 
 class Bmp388(ForcedBarometer):
-    """Driver of one BMP388, with the samples of the BMP280."""
+    """Driver of one BMP388, with the same numbers of samples as the BMP280."""
 
     relatives: ClassVar[Mapping[int, str]] = MappingProxyType({0x60: "a BMP390"})  # BMP-202
     facts: ClassVar[ModuleType] = bmp388

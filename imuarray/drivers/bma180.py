@@ -38,9 +38,10 @@ _SELF_TEST_NS = 12_000_000  # the test lasts less than 10 ms: BMA-104
 _SELF_TEST_LSB = 200
 _SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as the test, and show motion during it
 _SELF_TEST_GAP_NS = 2_000_000
-"""The longest interval between two readings in self-test: the deflection lasts less than 10 ms in total (BMA-104)."""
+"""Longest interval in ns between two readings in self-test: the deflection lasts less than 10 ms in total (BMA-104)."""
 _SELF_TEST_SIGMAS = 4.0
-"""The number of standard deviations at rest that a deflection must also exceed, so that noise and motion do not count.
+"""Number of standard deviations at rest that a deflection must also exceed, so that noise and motion do not pass the
+test.
 """
 _SLOWEST_SETTLING_S = 253 / 2400  # samples to settle at 10 Hz, the narrowest low-pass: BMA-81
 
@@ -97,7 +98,7 @@ class Bma180(ChipDriver):
         rest = before.mean(axis=0)
         test = facts.SELF_TEST_0(1)
         order = test.into(self.registers.peek(test.register)[0])
-        looked_ns = begun_ns = self.clock.now_ns()  # it begins within the next transaction
+        looked_ns = begun_ns = self.clock.now_ns()  # the test begins within the next transaction
         longest_ns = looks = 0
         self.registers.poke(test.register, order)
         deflection = np.zeros(3)

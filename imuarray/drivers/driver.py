@@ -126,11 +126,11 @@ class SelfTest(NamedTuple):
 
 
 def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still: float) -> SelfTest:
-    """Return the verdict on (n, 3) readings before a self-test and (m, 3) during it: is the difference of their means
-    within `limits`?
+    """Compare (n, 3) readings before a self-test with (m, 3) during it: the test passes if the difference of their
+    means is within `limits`.
 
-    It can't be determined if the readings of either scatter by more than `still` (one standard deviation): the box
-    moved. `text` is a template with {change}.
+    The result is undetermined if the readings of either scatter by more than `still` (one standard deviation), because
+    the box moved. `text` is a template with {change}.
     """
     change = during.mean(axis=0) - before.mean(axis=0)
     said = text.format(change=", ".join(f"{value:+.3g}" for value in change))
@@ -145,9 +145,9 @@ def within(values: Floats, limits: Limits) -> bool:
 
 
 class Driver(Protocol):
-    """One chip, as the poll loop sees it.
+    """The interface of one chip for the poll loop.
 
-    `watched` are the settings that the chip must keep while it measures; reading them back costs no reading.
+    `watched` are the settings that the chip must keep while it measures; reading them back does not affect readings.
     """
 
     burst: ClassVar[int]
@@ -233,7 +233,7 @@ class FifoDriver(Protocol):
 
 @runtime_checkable
 class RemarkingDriver(Protocol):
-    """A driver of a chip with a setting that makes readings wrong."""
+    """A driver of a chip that may have a setting with which readings are wrong."""
 
     def remark(self) -> str:
         """Read the present settings, before the chip is configured, and return a remark on them; empty if there is
@@ -243,10 +243,10 @@ class RemarkingDriver(Protocol):
 
 @runtime_checkable
 class OnDemandDriver(Protocol):
-    """A driver whose chip converts on command: `fetch` reads the result and starts the next conversion.
+    """A driver of a chip that converts on command: `fetch` reads the result and starts the next conversion.
 
-    A reading consists of `conversions_ns`, the longest times, in this order. A result is used until `lasting_ns` after
-    its conversion, unless `fetch` is called less often than that.
+    `conversions_ns` are the longest durations of the conversions of a reading, in order. A result is used until
+    `lasting_ns` after its conversion, unless `fetch` is called less often than that.
     """
 
     conversions_ns: ClassVar[tuple[int, ...]]
@@ -278,9 +278,7 @@ class ChipDriver:
         self.clock = clock
 
     def identify(self) -> None:
-        """Check that the register that tells the chip from others has its value; SensorError names a relative or a
-        clone.
-        """
+        """Check the register that identifies the chip; SensorError names a relative or a clone."""
         self.registers.expect(self.identity, relatives=self.relatives)
 
     def steps(self) -> Iterator[float]:

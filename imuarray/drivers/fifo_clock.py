@@ -1,11 +1,11 @@
 """Estimates when the samples of a chip's queue were taken, from their numbers and the times of counting.
 
-A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them). A count gives two bounds:
-the newest counted sample existed at the end of the count, and the next one did not exist at its beginning. Each is a
-bound on a straight line, time over number of the sample. All counts of the last seconds leave a small region of
+A chip samples by its own oscillator, which is some percent off (BMA-107 states 10 % for one chip). A count gives two
+bounds: the newest counted sample existed at the end of the count, and the next one did not exist at its beginning. Each
+is a bound on a straight line, time over number of the sample. All counts of the last seconds leave a small region of
 possible lines (offset and period), a convex polygon that every count cuts; the estimate is its centre, the uncertainty
 its extent. A host that is late by milliseconds gives wide bounds, which have no effect. The method is set-membership
-estimation (Milanese and Vicino, Automatica 27, 1991): no distribution of delays has to be known.
+estimation (Milanese and Vicino, Automatica 27, 1991): it assumes no distribution of delays.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ import numpy as np
 TOLERANCE = 0.15
 """Largest relative error of a chip's oscillator."""
 DRIFT = 2e-4
-"""Largest relative change of its rate within a window: warming by a few degrees changes it by less."""
+"""Largest relative change of a chip's rate within a window; warming by a few degrees changes it by less."""
 WINDOW_NS = 5e9
-"""A new window begins after this time; the previous one is used until then, so that no bound is more than twice as
-old.
+"""Time in ns after which a new window begins. The previous window is used until then, so that no bound is more than
+twice as old.
 """
 
 SLIVER_NS = 1e3
-"""A bound that would cut off less than this is omitted: it would add a corner without information."""
+"""Least time in ns that a bound must cut off; a bound that cuts off less adds a vertex without information."""
 MANY_VERTICES = 16
 SAME_NS = 10.0
-"""Where counts always fall at the same phase of the samples, their bounds all meet in one corner: beyond this number of
-vertices, close ones are merged. A period must agree within a ten-thousandth of it, for a window has thousands of them.
+"""Number of vertices above which close vertices are merged, and their largest distance in ns. If counts are always at
+the same phase of the samples, all bounds meet near one vertex. Periods must agree within a ten-thousandth of the
+distance, because a window has thousands of them.
 """
 
 Vertices = list[tuple[float, float]]
@@ -73,7 +74,7 @@ class _Window:
         return min(periods) * (1 - DRIFT), max(periods) * (1 + DRIFT)
 
     def half_extent_ns(self, number: int) -> float:
-        """Half the extent of the possible times of a sample."""
+        """Return half the extent of the possible times of a sample."""
         times = [start + (number - self.first) * period for start, period in self.vertices]
         return (max(times) - min(times)) / 2
 
@@ -105,7 +106,7 @@ def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
 
 
 def _is_same(vertex: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Return whether two corners are so close that one is sufficient."""
+    """Return whether two vertices are so close that one is sufficient."""
     return abs(vertex[0] - other[0]) < SAME_NS and abs(vertex[1] - other[1]) < SAME_NS * 1e-4
 
 
@@ -177,7 +178,7 @@ class FifoClock:
         if self._window is None or overrun or not self._cut(newest, from_ns, end_ns):
             self._begin()
         window = self._window
-        if window is None:  # the first count: the newest sample is half a period old, with the same uncertainty
+        if window is None:  # the first count: the newest sample is half a period old, within half a period
             start_ns, first = (from_ns + end_ns - self.period_ns) / 2, newest
             low, high = self._periods
             slack_ns = max(self.period_ns - low, high - self.period_ns)

@@ -33,7 +33,7 @@ _START_S = 0.06  # of the gyroscope, the slower half: TDK-21
 _LOW_NOISE = 0b11  # TDK-11
 _RATE_CODES = {4000.0: 4, 2000.0: 5, 1000.0: 6, 500.0: 15, 200.0: 7, 100.0: 8, 50.0: 9, 25.0: 10, 12.5: 11}  # TDK-15
 _SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
-_I2C_OFF = 0b11  # otherwise noise on the lines may be taken for I2C: TDK-71
+_I2C_OFF = 0b11  # otherwise the chip may interpret noise on the lines as I2C: TDK-71
 _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
 _CLOCK_INPUT, _PULSE_INPUT = 0b10, 0b01  # TDK-24
@@ -197,8 +197,8 @@ class Icm42688(SixAxisHalf):
         return compared(*upward(before, during), own.limits, text, still=0.05)
 
     def _trim_counts(self) -> Floats:
-        """Return the factory's change (3,) at the range of the self-test, which is half as large at twice the smallest
-        range (TDK-40).
+        """Return the change (3,) at the factory, in counts at the range of the self-test; at a range twice the smallest
+        the counts are half as large (TDK-40).
         """
         self.registers.set(self._bank(self.own.trim.bank))
         codes = self.registers.peek(self.own.trim, 3)
@@ -206,9 +206,7 @@ class Icm42688(SixAxisHalf):
         return factory_change(codes) / 2.0 ** (3 - self.own.self_test_range)
 
     def remark(self) -> str:
-        """Report, for the gyroscope, that the adaptive range is on, with which readings freeze near 100 dps
-        (TDK-18).
-        """
+        """Report, for the gyroscope, that the adaptive range is on; with it readings freeze near 100 dps (TDK-18)."""
         if self.half != "gyro" or facts.BANK.of(self.registers.peek(facts.REG_BANK_SEL)[0]):
             return ""
         if facts.ADAPTIVE_RANGE.of(self.registers.peek(facts.INTF_CONFIG1)[0]) == _ADAPTIVE_RANGE_OFF:
@@ -222,8 +220,8 @@ class Icm42688(SixAxisHalf):
 
 
 def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
-    """Return (n,) flags of (n, 3) counts: suspect for the lowest code, -32768 of 16 bits, which means no reading;
-    saturated at the other ends of the range.
+    """Return (n,) flags of (n, 3) counts: suspect for the lowest code (-32768 of 16 bits), which means no reading;
+    saturated at the other codes that end the range.
     """
     lowest = -1 << bits - 1
     invalid = (counts == lowest).any(axis=1)
@@ -232,8 +230,8 @@ def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
 
 
 class Icm42688Fifo(QueuedHalf, Icm42688):
-    """Driver of one half, read by the queue: a row is a packet with a temperature of 8 bits, 2.07 counts a degC
-    (TDK-82).
+    """Driver of one half that is read from the queue: a row is a packet with a temperature of 8 bits, 2.07 counts per
+    degC (TDK-82).
     """
 
     burst: ClassVar[int] = 16
@@ -277,7 +275,7 @@ class Icm42688Fifo(QueuedHalf, Icm42688):
 
 
 class Icm42688HighResolution(Icm42688Fifo):
-    """Driver of one half, read by the queue in packets of 20 bytes, which have the largest range in any case
+    """Driver of one half that is read from the queue in packets of 20 bytes, which always have the largest range
     (TDK-89).
     """
 
@@ -292,7 +290,7 @@ class Icm42688HighResolution(Icm42688Fifo):
         return Icm42688Queue(self.registers, self.clock, (self.rate_hz, self.nominal_rate_hz), high_resolution=True)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Return the queue: packets of both halves in any case (TDK-88)."""
+        """Return the queue: packets always contain both halves (TDK-88)."""
         packets = facts.FIFO_HIGH_RESOLUTION(1) | facts.FIFO_ACCEL(1) | facts.FIFO_GYRO(1)
         packets |= facts.FIFO_TEMPERATURE(1) | facts.FIFO_TIMESTAMP(1)
         return (

@@ -1,9 +1,9 @@
 """Packets in the queue of an ICM-42688-P: bytes to bytes, without a chip.
 
 A packet begins with a header that determines its contents and length (TDK-81): 8 bytes with one triad, 16 with both and
-a time stamp, 20 with both in 20 bits. In the last, the four lowest bits of each axis are at the end, those of the
-accelerometer above those of the gyroscope (TDK-88). Of its 20 bits the accelerometer leaves two at 0, the gyroscope one
-(TDK-89): a row has 18 and 19 bits.
+a time stamp, 20 with both in 20 bits. In packets of 20 bytes the four lowest bits of each axis are at the end, those of
+the accelerometer above those of the gyroscope (TDK-88). The accelerometer leaves two of its 20 bits at 0, the gyroscope
+one (TDK-89), so that counts in a row have 18 and 19 bits.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def stamp_offset(size: int) -> int:
 
 
 def widened(packets: bytes, half: str) -> bytes:
-    """Return packets of one half as packets of both, without readings of the other."""
+    """Return packets of one half as packets of both halves, without readings of the other half."""
     table = np.frombuffer(packets, np.uint8).reshape(-1, ONE_TRIAD)
     wide = np.zeros((len(table), BOTH_TRIADS), np.uint8)
     first = _FIRST[half]
@@ -71,7 +71,9 @@ def widened(packets: bytes, half: str) -> bytes:
 
 
 def high_resolution_rows(packets: bytes, half: str) -> bytes:
-    """Return rows of one half (`ROW_BYTES` each) of packets of 20 bytes; one without a reading has the lowest code."""
+    """Return rows of one half (`ROW_BYTES` each) from packets of 20 bytes; rows without a reading have the lowest
+    code.
+    """
     table = np.frombuffer(packets, np.uint8).reshape(-1, HIGH_RESOLUTION)
     first = _FIRST[half]
     upper = np.ascontiguousarray(table[:, first : first + 6]).view(">i2").astype(np.int32)

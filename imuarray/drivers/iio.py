@@ -39,28 +39,28 @@ CHANNELS: Mapping[str, tuple[str, float]] = {
     "angular_rate": ("in_anglvel", SI_PER_UNIT["dps"]),
     "magnetic_field": ("in_magn", 1.0),
 }
-"""Keyed by quantity: the channel's name, and how much of the kernel's unit (m/s2, rad/s, gauss: LNX-65) the log's unit
-is.
+"""Keyed by quantity: the channel's name, and the size of the log's unit in the kernel's unit (m/s2, rad/s, gauss:
+LNX-65).
 """
 TIMESTAMP = "in_timestamp"
 TEMPERATURE = "in_temp"
 MOST_BITS = 31
-"""Bits of a count in a log, which is 32 bits wide and signed."""
+"""Largest number of bits of a signed count; a log stores counts in 32 bits."""
 RANGE_MARGIN = 0.98
-"""A full scale of at least this share of the required range is accepted: 32767 counts of 0.488 mg are 15.99 g."""
+"""Least full scale that is accepted, as a share of the required range: 32767 counts of 0.488 mg are 15.99 g."""
 RATE_MARGIN = 0.01
-"""A driver that rounds the data rate by less keeps it."""
+"""Largest relative difference between the requested data rate and that of the driver, which may be rounded."""
 SCALE_MARGIN = 1e-3
-"""Scales of the axes that differ by less are taken to be equal: sysfs prints six digits after the point."""
+"""Largest relative difference of the axes' scales that counts as equal: sysfs prints six digits after the point."""
 ROUNDED = 2e-3
-"""A scale within this share of the data sheet's is taken to be the data sheet's, rounded."""
+"""Largest relative difference of a scale from that of the data sheet that is attributed to rounding."""
 BUFFER_S = 4.0
 SHORTEST_BUFFER = 128
 LONGEST_BUFFER = 1 << 15
 WATERMARK_S = 0.05
-"""Duration of the samples that wait in the chip's own queue, where the driver uses one."""
+"""Duration in s of the samples that wait in the chip's own queue, if the driver uses one."""
 GAP_PERIODS = 1.6
-"""Interval in nominal intervals from which on samples are missing: oscillators have errors of some percent."""
+"""Interval, in nominal intervals, above which samples are missing: oscillators have errors of some percent."""
 BURST = np.dtype("<i4")
 _WORDS = 4  # x, y, z and the temperature
 
@@ -243,7 +243,7 @@ class IioSensor:
             raise SensorError(f"{self.device}: {attribute} reads {kept:g} after {text} was written")
 
     def _unrounded(self, scale: float, text: str) -> float:
-        """Return the data sheet's scale that `text` of the kernel stands for, if there is one: some drivers print six
+        """Return the data sheet's scale that the kernel printed as `text`, if there is one: some drivers print six
         digits after the point, of which three are zeros for a gyroscope, or multiples of a rounded value.
         """
         digit = 10.0 ** -len(text.partition(".")[2])
@@ -407,7 +407,7 @@ class IioCapture:
 
     @property
     def counts_out_times(self) -> bool:
-        """Return whether the buffer has no times: those of its samples then follow from their counts."""
+        """Return whether the buffer has no times; the times of its samples are then computed from their counts."""
         return self._clock is not None
 
     def set_up(self, sensor: IioSensor) -> None:

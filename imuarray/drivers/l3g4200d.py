@@ -83,8 +83,8 @@ class L3g4200d(ChipDriver):
         return True
 
     def self_test(self) -> SelfTest:
-        """Measure the change of the output with the self-test on, positive sign: a third to three times the typical one
-        (L3G-62).
+        """Measure the change of the output with the self-test on, positive sign; limits are a third of the typical
+        change and three times it (L3G-62).
         """
         normal = self.settings[2]
         self.registers.set(*self.settings[:2], facts.OUT_SELECT(0b00), normal, facts.FIFO_MODE(_BYPASS), self.power)

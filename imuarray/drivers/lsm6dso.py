@@ -1,9 +1,9 @@
 """LSM6DSO: accelerometer and gyroscope of one die, two sensors that share a place.
 
 ST DS12140 Rev 2; facts LSM-*. A burst is 0x20 ... 0x2D, thermometer, gyroscope and accelerometer, low byte first, with
-IF_INC (LSM-12); 256 counts a degC, 0 at 25 degC (LSM-32). BDU keeps the two bytes of each number together (LSM-13); a
-new sample during a burst may still fall between two axes. Each half has its own register for rate and range and is on
-when its rate is not 0. Both filters keep their settings of power-on: their bandwidths follow the rate.
+IF_INC (LSM-12); 256 counts per degC, 0 at 25 degC (LSM-32). BDU keeps the two bytes of each number together (LSM-13); a
+new sample during a burst may still arrive between two axes. Each half has its own register for rate and range, and is
+on if its rate is not 0. Both filters keep their settings of power-on: their bandwidths follow the rate.
 """
 
 from __future__ import annotations

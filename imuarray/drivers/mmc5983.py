@@ -1,9 +1,10 @@
 """MMC5983MA magnetometer. MEMSIC data sheet Rev A (2019); facts MMC-*.
 
-18 bits, unsigned, 131072 at no field (MMC-11). Its control registers can't be read (MMC-12): a setting is never
-verified, and a chip that lost its settings is detected only by its readings, which then no longer change. Instead, the
-set-up takes one reading after a SET and one after a RESET, which must both be completed in time; a log's header
-contains their mean, the output of the bridges without a field (MMC-14), in counts. Counts are those after a SET.
+Counts have 18 bits, unsigned, 131072 at no field (MMC-11). The control registers can't be read (MMC-12): a setting is
+never verified, and a chip that lost its settings is detected only by its readings, which then no longer change.
+Therefore the set-up takes one reading after a SET and one after a RESET, both of which must be completed in time; a
+log's header contains their mean, the output of the bridges without a field (MMC-14), in counts. Counts are those after
+a SET.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ _MARGIN_S = 0.001
 _BANDWIDTHS_HZ = tuple(_MEASURED_S)
 _PERIODIC_SET = 0b011  # after 100 readings: MMC-16
 _FIELD_GAUSS = (0.05, 4.0)
-"""Half the difference between SET and RESET is the field; the earth's is 0.25 to 0.65 gauss, iron nearby adds to it."""
+"""Least and largest field strength in gauss for the self-test, half the difference between SET and RESET: the earth's
+field is 0.25 to 0.65 gauss, and iron nearby adds to it.
+"""
 _BRIDGE_GAUSS = 1.0  # MMC-20: within 0.5 gauss, typically
 
 
@@ -90,8 +93,8 @@ class Mmc5983(ChipDriver):
         self.registers.poke(setting.register, setting.value)
 
     def self_test(self) -> SelfTest:
-        """Return whether SET and RESET reverse the elements: half the difference of the readings after them is the
-        field, their mean is the offset of the bridges (MMC-14).
+        """Check that SET and RESET reverse the elements: half the difference of the readings after them is the field,
+        their mean is the offset of the bridges (MMC-14).
         """
         self.configure()
         field, middle = self._flipped / self.sensitivity, self._bridge / self.sensitivity

@@ -23,12 +23,12 @@ from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register, Setting
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
-_X_GYRO_CLOCK = 1  # steadier than the internal oscillator: INV-25
+_X_GYRO_CLOCK = 1  # more stable than the internal oscillator: INV-25
 _EXTERNAL_CLOCKS = (4, 5)  # 32.768 kHz and 19.2 MHz: INV-37
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-11
 _FIFO_BYTES = 1024  # INV-27
 _IN_TEMPERATURE = 1  # its lowest bit marks a sample: INV-38
-_SELF_TEST_SETTLE_S = 0.2  # the filter's
+_SELF_TEST_SETTLE_S = 0.2  # settling time of the filter
 _SELF_TEST_SHARE = 0.14  # INV-45
 _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
 

@@ -24,11 +24,11 @@ from imuarray.facts import mpu6500 as facts
 from imuarray.facts.registers import Field, Register, Setting
 
 _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: INV-36
-_BEST_CLOCK = 1  # of a gyroscope once it runs: INV-71
+_BEST_CLOCK = 1  # the clock of a gyroscope once it runs: INV-71
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-72
 _FIFO_BYTES = 512  # INV-98
 _IN_TEMPERATURE = 1  # its lowest bit marks a sample: INV-38
-_SELF_TEST_SETTLE_S = 0.2  # the filter's
+_SELF_TEST_SETTLE_S = 0.2  # settling time of the filter
 
 
 @dataclass(frozen=True)

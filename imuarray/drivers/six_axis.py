@@ -2,10 +2,10 @@
 
 Each half is a separate driver that sets the shared registers to the same values (the configuration is refused if they
 differ) and never resets the die, which would change the other half's range. A burst holds both triads and the
-thermometer. The data-ready bits of these chips are cleared by reading them, or by reading the data, and can't serve two
-readers: a reading is not new if its bytes equal those of the previous burst, which noise in six axes prevents
-otherwise. Each half therefore fetches both. The one queue of a die is drained once for both
-(`imuarray.drivers.six_axis_queue`).
+thermometer. The data-ready bits of these chips are cleared by reading them, or by reading the data, so they can't serve
+two readers. Instead, a reading is not new if its bytes equal those of the previous burst; noise in six axes makes equal
+bytes of new readings improbable. Each half therefore fetches both triads. The one queue of a die is drained once for
+both halves (`imuarray.drivers.six_axis_queue`).
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class SixAxisHalf(ChipDriver):
 
     @property
     def reading(self) -> slice:
-        """Both triads and the thermometer: noise in six axes prevents two equal readings."""
+        """Both triads and the thermometer: with noise in six axes, two readings are practically never equal."""
         return slice(0, 14)
 
     def steps(self) -> Iterator[float]:
@@ -172,13 +172,13 @@ class QueuedHalf(SixAxisHalf):
         self, decoded: DecodedBursts, marks: Booleans, ages_s: float | Floats | None = None
     ) -> DecodedBursts:
         """Return `decoded` with the time from the pulse to each of the rows that `marks` (n,) selects: `ages_s`, or
-        half a period where the chip does not measure it.
+        half a period for a chip that does not measure it.
         """
         ages_s = 0.5 / self.rate_hz if ages_s is None else ages_s
         return decoded._replace(compensated={SYNC_PULSE: np.where(marks, ages_s, np.nan)})
 
     def decode_marked_temperature(self, decoded: DecodedBursts) -> DecodedBursts:
-        """Return `decoded` with the marks of the chips that have them in the lowest bit of the temperature (INV-38)."""
+        """Return `decoded` with pulses marked, for chips that mark them in the temperature's lowest bit (INV-38)."""
         words = decoded.temperature_counts
         if not self.has_pulses or words is None:
             return decoded

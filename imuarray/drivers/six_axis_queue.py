@@ -31,29 +31,31 @@ LONGEST_READS: Mapping[str, int] = MappingProxyType(
         "serial:": serial_link.MAX_PAYLOAD - 1,  # a frame of the link, in which the result comes first
     }
 )
-"""The longest read of each bus in one transaction, bytes."""
+"""Largest number of bytes of a read in one transaction, by bus."""
 LONGEST_READ = min(LONGEST_READS.values())
-"""The longest read that all buses can carry. Reads of a queue are split in the same way on all of them, so that a
-transcript of one bus can replace another bus.
+"""Largest number of bytes of a read that all buses can carry. Reads of a queue are split in the same way on all of
+them, so that a transcript of one bus can replace another bus.
 """
 
 
 WANTED_NS = 20e3
-"""A sample with a larger uncertainty of its time is counted again, ..."""
+"""Uncertainty of a sample's time in ns above which samples are counted again."""
 LONGEST_WAIT_NS = 1_000_000
-"""... if the wait for the best instant is no longer than this."""
+"""Longest wait in ns for the best time of this count; it is omitted if the wait would be longer."""
 BEFORE_COUNT = 0.4
 """Share of a transaction after which a chip latches its count: three bytes of five or six on I2C, one of three or four
 on SPI.
 """
 _FLAGS_AND_COUNT = 3
-"""Bytes of INT_STATUS and the count of an ICM-42688-P, which FIFO_DATA follows (TDK-85)."""
+"""Number of bytes of INT_STATUS and the count of an ICM-42688-P; FIFO_DATA is the next register (TDK-85)."""
 _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
-"""Largest difference of a count from that expected for the time since the last one: a number of samples, and a share
-for a slow chip.
+"""Largest difference of a count from the number expected for the time since the last one: a number of samples, and a
+share of the expected number for a slow chip.
 """
 MOST_ROWS = 4096
-"""Most rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
+"""Largest number of rows that wait for a half that is not visited; if there are more, all are dropped, and the next row
+is flagged.
+"""
 
 
 class QueueReader:
@@ -130,7 +132,7 @@ class DieQueue:
         self._readers: dict[str, QueueReader] = {}
         self._trusted = False
         self.overruns = 0
-        """Drains without samples because the queue had overflowed."""
+        """Number of drains without samples because the queue had overflowed."""
         self._shortest_ns = 1 << 62
 
     def join(self, half: str) -> QueueReader:
@@ -139,12 +141,12 @@ class DieQueue:
 
     @property
     def halves(self) -> tuple[str, ...]:
-        """The halves that read it."""
+        """The halves that read the queue."""
         return tuple(self._readers)
 
     @property
     def is_trusted(self) -> bool:
-        """False if it must be emptied before its samples can be used."""
+        """False if the queue must be emptied before its samples can be used."""
         return self._trusted
 
     def distrust(self) -> None:
@@ -176,8 +178,8 @@ class DieQueue:
         return reader.take()
 
     def _look_again(self) -> None:
-        """Count once more when a count gives the most information on the times of samples, if they are uncertain and
-        the wait is short.
+        """Count once more, at the time at which a count gives the most information on the times of samples, if these
+        are uncertain and the wait is short.
         """
         now_ns = self.clock.now_ns()
         at_ns = self.times.best_look_ns(now_ns, max(WANTED_NS, (1 - BEFORE_COUNT) * self._shortest_ns))
@@ -218,7 +220,9 @@ class DieQueue:
 
 
 class QueueRequest(NamedTuple):
-    """One transaction of a drain: `read` bytes from `register` on, or with `rule` as many as the last answer states."""
+    """One transaction of a drain: `read` bytes from `register` on, or with `rule` the number that the last answer
+    states.
+    """
 
     register: Register
     read: int
@@ -237,13 +241,13 @@ class UnattendedQueue(Protocol):
     """False if it must be emptied after an overflow: its packets may begin anywhere."""
 
     def most_samples(self, bytes_read: int) -> int:
-        """Return how many samples of the die one request of so many bytes can read."""
+        """Return how many samples of the die one request of `bytes_read` bytes can read."""
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """Return the transactions of a drain of up to so many samples; the count is taken in the first of them."""
+        """Return the transactions of a drain of up to `samples` samples; the count is taken in the first of them."""
 
     def packet_bytes(self, answers: Sequence[bytes]) -> int:
-        """The least number of bytes of the first transaction that followed its count."""
+        """Return the least number of bytes of the first transaction after its count."""
 
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
         """Store the samples of a drain for their readers; their number was counted in the given time. Return False if
@@ -253,14 +257,14 @@ class UnattendedQueue(Protocol):
 
 
 def impossible(count: int, capacity: int) -> OSError:
-    """Return the error of a count that no queue of this capacity can have: a dead bus reads like this."""
+    """Return the error for a count that exceeds the capacity of the queue, as a dead bus may return."""
     return OSError(errno.EIO, f"its queue reports {count} and holds {capacity}")
 
 
 class AcceptedDrains:
     """The last drain of a queue that a microcontroller drains. The next count shows whether a drain in between was
-    carried out but did not arrive: then fewer samples wait than were taken since. Time stamps do not show it after the
-    time in which they wrap.
+    carried out but did not arrive: then fewer samples wait than the chip took in that time. Time stamps do not show it
+    for longer times than that in which they wrap.
     """
 
     def __init__(self) -> None:
@@ -268,24 +272,24 @@ class AcceptedDrains:
         self._unread = 0
 
     def note(self, unread: int, at_ns: int) -> None:
-        """Note that a drain was accepted that left so many packets in the queue."""
+        """Note that a drain was accepted that left `unread` packets in the queue."""
         self._at_ns, self._unread = at_ns, unread
 
     def since_ns(self, at_ns: int) -> int:
-        """Return the time since then; 0 before the first."""
+        """Return the time since the last accepted drain; 0 before the first."""
         return 0 if self._at_ns is None else at_ns - self._at_ns
 
     def is_missing(self, count: int, taken: float, slack: float = _UNEVEN_SAMPLES) -> bool:
-        """Return whether the count of packets shows that a drain is missing, about `taken` having been taken since the
-        last; always for the first one.
+        """Return whether the count of packets shows that a drain is missing, if the chip took about `taken` samples
+        since the last one; always True before the first.
         """
         return self._at_ns is None or self._unread + taken - count > slack + _UNEVEN_SHARE * taken
 
 
 class Icm42688Queue(DieQueue):
-    """The queue of an ICM-42688-P: 2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): of both halves
-    16 bytes with a time stamp, of one half 8. A row is a packet of 16 bytes. With `high_resolution` packets have 20
-    bytes and both halves in any case, and `high_resolution_rows` makes the rows.
+    """The queue of an ICM-42688-P: 2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): 16 bytes with
+    both halves and a time stamp, 8 bytes with one half. A row is a packet of 16 bytes. With `high_resolution` packets
+    have 20 bytes and always both halves, and `high_resolution_rows` makes the rows.
 
     Flags and count are read together, then the packets. The stamps show where samples are missing, and the flag "full"
     where more are missing than the 65.536 ms of the stamps.
@@ -303,10 +307,10 @@ class Icm42688Queue(DieQueue):
         high_resolution: bool = False,
         has_pulses: bool = False,
     ) -> None:
-        """`rates_hz`: the data rate, and the one that the registers name. Stamps count by the clock of the samples: a
-        period has the same number of their microseconds at any frequency of the clock (DEC-65). With `has_pulses`
-        packets have both halves in any case, and stamps may count from the last synchronisation pulse (DEC-66): they do
-        not show missing samples.
+        """`rates_hz`: the actual data rate, and the one that the registers name. The clock of the samples also counts
+        the stamps: a period has the same number of their microseconds at any frequency of the clock (DEC-65). With
+        `has_pulses` packets always have both halves, and stamps may count from the last synchronisation pulse (DEC-66),
+        so that they do not show missing samples.
         """
         rate_hz, nominal_rate_hz = rates_hz
         super().__init__(registers, clock, rate_hz)
@@ -394,7 +398,7 @@ class Icm42688Queue(DieQueue):
         return is_trusted
 
     def _put(self, packets: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
-        """Store packets for their readers; `unread` more were counted. Return False if packets are missing among
+        """Store packets for their readers; `unread` more were counted. Return False if packets are missing between
         them.
         """
         size = self.size
@@ -426,7 +430,7 @@ class Icm42688Queue(DieQueue):
         return packet_format.header_of(packet_format.HALVES if self.has_pulses else self.halves)
 
     def _are_missing(self, stamps: int, periods: int) -> bool:
-        """Return whether a difference of time stamps, known to 16 bits, is not so many periods."""
+        """Return whether a difference of time stamps, known to 16 bits, differs from `periods` periods."""
         off_us = (stamps - periods * self._period_us + 0x8000) % 0x10000 - 0x8000
         return abs(off_us) > self._period_us / 4
 
@@ -441,9 +445,9 @@ class MpuQueue(DieQueue):
     """A queue of bytes that loses its oldest ones when it is full (INV-27, INV-98): records of 14 bytes in the format
     of the data registers, accelerometer, thermometer, gyroscope.
 
-    After an overflow a record may begin anywhere: the flag is read after the records, so that an overflow during the
-    read is detected too, and then the queue is emptied. Never more bytes are read than were counted, because an empty
-    queue repeats its last byte.
+    After an overflow a record may begin anywhere. The flag is therefore read after the records, so that an overflow
+    during the read is also detected; the queue is then emptied. No more bytes are read than were counted, because an
+    empty queue repeats its last byte.
     """
 
     SIZE: ClassVar[int] = 14
@@ -507,7 +511,7 @@ class MpuQueue(DieQueue):
         return bytes_read // self.SIZE
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """Implement `UnattendedQueue`: no more may be read than was counted, or a record is torn; then the flags."""
+        """Implement `UnattendedQueue`: read no more than was counted, so that no record is cut; then read the flags."""
         records = QueueRequest(self._table["FIFO_R_W"], samples * self.SIZE, CountRule(self.SIZE, is_big_endian=True))
         return QueueRequest(self._table["FIFO_COUNT_H"], 2), records, QueueRequest(self._table["INT_STATUS"], 1)
 
@@ -516,8 +520,8 @@ class MpuQueue(DieQueue):
         return 0
 
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
-        """Implement `UnattendedQueue`. A drain that did not arrive may have had the flag of an overrun: it is assumed
-        that there was none if the queue can't have filled since the last one.
+        """Implement `UnattendedQueue`. A drain that did not arrive may have contained the flag of an overrun; no
+        overrun is assumed if the queue can't have filled since the last drain.
         """
         counted, records, flags = answers
         filled = int.from_bytes(counted, "big")
@@ -584,7 +588,7 @@ class Lsm6dsoQueue(DieQueue):
         return count, high & (lsm6dso.FIFO_OVERRUN.mask | lsm6dso.FIFO_OVERRUN_LATCHED.mask)
 
     def _look_again(self) -> None:
-        """Return False: a count of words does not show to which half they belong."""
+        """Do nothing: a count of words does not show to which half they belong."""
 
     def _drain(self) -> bool:
         count, lost, counted_ns = self._counted()
@@ -604,7 +608,7 @@ class Lsm6dsoQueue(DieQueue):
             mine = rows[tags == self.TAGS[half]]
             clock = self._clocks[half]
             from_ns, until_ns = counted_ns
-            if unread:  # the halves of these words are unknown, so that the count may have an error of two samples
+            if unread:  # the halves of these words are unknown: the count may be wrong by two samples
                 from_ns -= round(2 * clock.nominal_ns)
                 until_ns += round(2 * clock.nominal_ns)
             unread_samples = round(unread / self._words_per_sample)

@@ -1,8 +1,8 @@
 """The transactions of one reading, for a microcontroller that has no drivers.
 
-Most readings are one transaction, those of an LIS3MDL two at once; the driver fetches once from a bus that records
-them. A barometer needs two or three, with waits in between. The answers are joined to the burst that the driver's
-`decode` reads.
+Most readings are one transaction, those of an LIS3MDL are two in one frame; the driver fetches once from a bus that
+records the transactions. A barometer needs two or three, with waits in between. The answers are joined to the burst
+that the driver's `decode` reads.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ from imuarray.facts import bmp180
 
 @dataclass(frozen=True)
 class Visit:
-    """The requests to one chip in one frame. The first request's answer, from byte `skipped` on, is a part of the
-    burst; if one of the bits `busy` is set in its first byte the conversion was not finished, and there is no reading.
+    """The requests to one chip in one frame. The answer to the first request, from byte `skipped` on, is a part of the
+    burst. If one of the bits `busy` is set in the first byte of this answer, the conversion was not finished, and there
+    is no reading.
     """
 
     requests: tuple[Request, ...]
     skipped: int = 0
     busy: int = 0
     wait_ns: int = 0
-    """Least time since the previous visit."""
+    """Least time since the previous visit, in ns."""
 
 
 class _NotingBus:
@@ -62,7 +63,7 @@ def unattended_queue_of(driver: Driver) -> UnattendedQueue | None:
 
 
 def needs_counting(queue: UnattendedQueue) -> bool:
-    """Return whether the microcontroller must read as many samples as it counted, which older firmware can't."""
+    """Return whether the microcontroller must read the number of samples that it counted; older firmware can't."""
     return any(request.rule is not None for request in queue.drain_requests(1))
 
 
@@ -72,7 +73,7 @@ def least_drains_hz(queue: UnattendedQueue, rate_hz: float) -> float:
 
 
 def drain_of(queue: UnattendedQueue, address: int, rate_hz: float, pause_s: float) -> Visit:
-    """Return the visit that drains the queue of the chip at `address`, `pause_s` after the one before."""
+    """Return the visit that drains the queue of the chip at `address`, `pause_s` after the previous visit."""
     requests = queue.drain_requests(math.ceil(rate_hz * (1 + TOLERANCE) * pause_s) + 1)
     return Visit(
         tuple(
@@ -83,8 +84,8 @@ def drain_of(queue: UnattendedQueue, address: int, rate_hz: float, pause_s: floa
 
 
 def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
-    """Return the visits, in order, that make up one reading; a sensor with `fifo` has none (its readings come in any
-    number): ValueError.
+    """Return the visits of one reading, in order; ValueError for a sensor with `fifo`, which returns any number of
+    readings per visit.
     """
     if sensor.fifo:
         raise ValueError(f"sensor {sensor.name}: a queue is drained by its driver")
@@ -95,13 +96,13 @@ def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
     if isinstance(driver, ForcedBarometer):
         return _forced_barometer(sensor.address, driver)
     driver.fetch()
-    if isinstance(driver, Ak8975):  # read, and another measurement is started at once
+    if isinstance(driver, Ak8975):  # a visit reads, and starts another measurement at once
         return (Visit(tuple(bus.asked)),)
     return tuple(Visit((request,)) for request in bus.asked)
 
 
 def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...]:
-    """Return the visits of one measurement: started, and read when it is over at the latest."""
+    """Return the visits of one measurement: one starts it, one reads it after its longest duration."""
     start = Request(address, bytes([driver.force.register.address, driver.force.value]), 0)
     look = Request(address, bytes([driver.first.address]), driver.head + driver.burst)
     (longest_ns,) = driver.conversions_ns
@@ -109,7 +110,7 @@ def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...
 
 
 def _bmp180(address: int) -> tuple[Visit, ...]:
-    """Return the visits of temperature, then pressure: started, and read when they are over at the latest (BMP-40,
+    """Return the visits of temperature, then pressure: each is started, and read after its longest duration (BMP-40,
     BMP-44, BMP-46).
     """
     register = bytes([bmp180.CTRL_MEAS.address])
