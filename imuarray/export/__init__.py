@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["TOOLS", "UNITS", "WRITERS", "ExportSummary", "export"]
 
 
-# The interface of the package: keyword-only, those of the command.
+# This is the interface of the package: keyword-only options with the names of the command's options.
 def export(  # noqa: PLR0913
     source: Log | str | PathLike[str],
     path: str | PathLike[str],
@@ -45,11 +45,13 @@ def export(  # noqa: PLR0913
     force: bool = False,
     progress: Progress = lambda share: None,
 ) -> ExportSummary:
-    """Write a log or a fused file to `path`, in the format of its suffix (`WRITERS`); whole or not at all.
+    """Write a log or a fused file to `path`, in the format of its suffix (`WRITERS`). No partial file remains after an
+    error.
 
-    `sensors`: only these. `units`: one of `UNITS`; by default raw counts with all that is needed to convert them (MCAP
-    and whatever has a `calibration`: SI in the box frame). `tool`: one of the `TOOLS` of the suffix. ExportError for an
-    unknown suffix, unit or tool, LogError, CalibrationError, OutputExistsError, OutputError, MissingExtraError.
+    `sensors` are the sensors to export (empty: all). `units` is one of `UNITS`; the default is raw counts with the data
+    required to convert them, or SI in the box frame for MCAP and with a `calibration`. `tool` is one of the `TOOLS` of
+    the suffix. ExportError for an unknown suffix, unit or tool, LogError, CalibrationError, OutputExistsError,
+    OutputError, MissingExtraError.
     """
     target = Path(path)
     write = _writer(target)

@@ -1,4 +1,4 @@
-"""A log or a fused file as tables: raw counts with all that is needed to convert them, or physical values.
+"""A log or a fused file as tables: raw counts with the data required to convert them, or physical values.
 
 Physical values are specific force, angular rate and magnetic flux density in the box frame, degrees and pascals. The
 bias of a calibration with temperature slopes follows the temperature recorded in the log, as in fusion. Its other
@@ -50,8 +50,8 @@ def physical_columns(
 
 
 def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
-    """Return the columns with physical units of their own that the log has: compensated values of a barometer, delays
-    of arrival, the uncertainty of times, and the times since synchronisation pulses.
+    """Return the columns of the log that are already in physical units: compensated values of a barometer, delays of
+    arrival, the uncertainty of times, and the times since synchronisation pulses.
     """
     columns = []
     for name, unit in COMPENSATED_UNITS.items():
@@ -96,8 +96,9 @@ _OTHER_FIELDS = frozenset(
 
 @contextmanager
 def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Content]:
-    """Open the tables of a log in `request.units`, else physical with a calibration, else in the `usual` ones; or those
-    of a fused file, which is in SI. ExportError for units that are not allowed, LogError, CalibrationError.
+    """Open the tables of a log in `request.units`, or by default in SI with a calibration and otherwise in the `usual`
+    units; or the tables of a fused file, which are in SI. ExportError for units that are not allowed, LogError,
+    CalibrationError.
     """
     if request.units not in (None, *UNITS):
         raise ExportError(f"units {request.units!r}: allowed are {', '.join(UNITS)}")
@@ -137,7 +138,7 @@ def _content(log: Log, request: ExportRequest, units: str) -> Content:
 
 
 def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) -> tuple[str, ...]:
-    """Return the triads that a calibration lacks; ExportError if it lacks all of them."""
+    """Return the triads that are missing in a calibration; ExportError if it has none of them."""
     triads = [sensor.name for sensor in sensors if sensor.is_triad]
     unknown = tuple(name for name in triads if name not in calibration.sensors)
     if triads and len(unknown) == len(triads):

@@ -38,7 +38,7 @@ from imuarray.printable import encodable
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write a single table to `path`, or a file for each table beside it and their list to `path`."""
+    """Write a single table to `path`, or a file for each table next to it and their list to `path`."""
     with open_content(request) as content:
         meter = Meter(content, progress)
         described = path.with_suffix(".json")
@@ -52,12 +52,14 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """Write a file for each table, for phases and for events, and their list, all or none; return the files."""
+    """Write a file for each table, for phases and for events, and their list; return the files. If one of them fails,
+    none is written.
+    """
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in file_names(path, names)]
     phases = [(seconds(phase.start_ns), seconds(phase.end_ns), phase.name, phase.up) for phase in content.phases]
     events = [(seconds(event.time_ns), event.sensor, event.kind, event.message) for event in content.events]
-    with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
+    with ExitStack() as stack:  # files get their names at its end; the list was entered first and gets its name last
         targets = (path, path.with_suffix(".json"), *files)
         listed, described, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in targets)
         for table, draft in zip(content.tables, drafts, strict=False):

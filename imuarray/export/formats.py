@@ -32,9 +32,9 @@ UNITS = ("counts", "si", "sensor")
 """Raw counts along the sensor's axes; m/s2, rad/s, T in the box frame; g, dps, gauss in the box frame."""
 
 CSV_VERSION = "imuarray_csv"
-"""First entry of the JSON file beside CSV files."""
+"""First entry of the JSON file that accompanies CSV files."""
 CSV_MAGIC = "# imuarray-csv 1: "
-"""Beginning of the CSV files of earlier versions, which had two lines of comment instead of the JSON file."""
+"""Beginning of the CSV files of earlier versions, which had two comment lines instead of the JSON file."""
 CSV_INDEX = ("file", "table", "rows")
 CSV_PHASES = ("start_s", "end_s", "name", "up")
 CSV_EVENTS = ("time_s", "sensor", "kind", "message")
@@ -71,7 +71,7 @@ NPZ_HEADER = "header"
 """The array of an npz file with everything except the columns: the bytes of a JSON object."""
 
 Progress = Callable[[float], None]
-"""Callback that receives the share of the work that is done, 0 to 1."""
+"""Callback that receives the completed share of the work, 0 to 1."""
 
 
 class ExportRequest(NamedTuple):
@@ -88,8 +88,8 @@ class ExportRequest(NamedTuple):
 
 
 class ExportSummary(NamedTuple):
-    """The result of an export: files, rows by table, their unit of `UNITS`, sensors that the calibration lacks and
-    whose values are those of the data sheets, and sentences on what is missing.
+    """The result of an export: files, rows by table, their units (one of `UNITS`), the sensors without a calibration,
+    which were converted with values of the data sheets, and sentences on missing data.
     """
 
     files: tuple[Path, ...]

@@ -22,7 +22,7 @@ from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Content, ExportTable, Meter, numbered
 
 MOST_BYTES = (1 << 31) - 1
-"""Largest size of an array, whose length has 32 bits (MATLAB MAT-File Format, R2019b, chapter 1)."""
+"""Largest size of an array in bytes: its length is stored in 32 bits (MATLAB MAT-File Format, R2019b, chapter 1)."""
 
 _LONGEST_NAME = 63
 _HEAD = "imuarray"
@@ -53,7 +53,9 @@ def _save(file: IO[bytes], name: str, struct: dict[str, Any]) -> None:
 
 
 def _head(content: Content, names: list[str]) -> dict[str, Any]:
-    """Return the description of the file: some fields for people, everything as JSON for programs."""
+    """Return the description of the file: some fields for readers, and the complete description as JSON for
+    programs.
+    """
     columns = zip(*content.phases, strict=True) if content.phases else [[]] * 4
     start, end, phase, up = (list(column) for column in columns)
     columns = zip(*content.events, strict=True) if content.events else [[]] * 4

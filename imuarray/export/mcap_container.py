@@ -23,7 +23,7 @@ from imuarray.arrays import Times
 _MAGIC = b"\x89MCAP0\r\n"
 _COMPRESSION = "zstd"
 _LEVEL = 1
-"""Compression level: two thirds of the time of the default, 3, for files that are 4 % longer."""
+"""Compression level: it takes two thirds of the time of the default level, 3, and files are 4 % larger."""
 _INDEX_HEAD = struct.Struct("<BQHI")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 
@@ -92,7 +92,7 @@ class Container:
         self._metadata.append(records.MetadataIndex(offset=start, length=length, name=name))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Write a file within the file."""
+        """Write a file as an attachment."""
         start = self._file.tell()
         length = self._put(records.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
         self._attachments.append(
@@ -198,7 +198,7 @@ class Container:
 
 
 def _bytes_of(group: Sequence[Any]) -> bytes:
-    """Return the records of a group, one after the other."""
+    """Return the bytes of the records of a group, in sequence."""
     builder = RecordBuilder()
     for record in group:
         record.write(builder)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _BLOCK = 1 << 12
 """Rows of each table that are in memory at a time."""
 _CHUNK_BYTES = 1 << 20
-"""Bytes of messages that are compressed together, and must be read to see one of them."""
+"""Bytes of messages that are compressed together; a reader must decompress all of them to read one message."""
 
 Texts = npt.NDArray[np.uint8]
 
@@ -130,7 +130,9 @@ class _ChannelStream:
         return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:
-        """Read blocks until many rows are buffered, because a merge ends at the earliest end of all buffers."""
+        """Read blocks until many rows are buffered, because messages are merged only up to the earliest end of all
+        buffers.
+        """
         while not self._last and len(self.waiting.time_ns) < _BLOCK:
             block = next(self._blocks, None)
             if block is None:
@@ -146,8 +148,8 @@ class _ChannelStream:
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write all tables, phases and events to `path`, in SI unless other units are asked for; MissingExtraError,
-    ExportError for an epoch that is no date, and for other units than those of ROS 2.
+    """Write all tables, phases and events to `path`, in SI unless other units are requested; MissingExtraError,
+    ExportError for an epoch that is not a date, and for units that ROS 2 does not allow.
     """
     for_ros2 = request.tool == "ros2"
     if for_ros2 and request.units not in (None, "si"):
@@ -172,8 +174,8 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _merge(container: Container, streams: Sequence[_ChannelStream], source: str) -> None:
-    """Write all messages in the order of their times, and of the streams at equal times. ExportError for a time that
-    MCAP can't represent.
+    """Write all messages in the order of their times; messages of equal times are in the order of the streams.
+    ExportError for a time that MCAP can't represent.
     """
     while True:
         for stream in streams:
@@ -336,8 +338,8 @@ def _filled(
     columns: Sequence[npt.NDArray[Any]],
     texts_of: Sequence[_NumberTexts],
 ) -> Texts:
-    """Return messages (n, h + l) from their template, times (n,) and columns (n, cells), of which each cell has its
-    `texts_of`. The first h bytes are room for the head.
+    """Return messages (n, h + l) from their template, times (n,) and columns (n, cells), with one of `texts_of` for
+    each cell. The first h bytes are reserved for the head.
     """
     cells = [cell for column in columns for cell in column.T]
     texts_by_form: dict[int, Texts] = {}
@@ -380,19 +382,19 @@ def _digits(values: Times) -> Texts:
 
 @cache
 def _four_digits() -> npt.NDArray[np.uint32]:
-    """Return the texts 0000 to 9999 as words (10000,), which save three of four divisions."""
+    """Return the texts 0000 to 9999 as words of 32 bits (10000,), which avoid three of four divisions."""
     return np.frombuffer("".join(f"{number:04d}" for number in range(10**4)).encode(), np.uint32)
 
 
 _MOST_KNOWN = 1 << 10
-"""Most different numbers of a cell whose texts are kept from one block to the next."""
+"""Largest number of different values of a cell with texts that are kept from one block to the next."""
 
 
 class _NumberTexts:
     """The JSON texts of one cell of a table, block after block; each different number is converted once.
 
-    A resting sensor has few different codes, which the next block has too: finding them among the known ones takes a
-    fifth of the time of sorting the block.
+    A sensor at rest has few different codes, and most of them occur in the next block too: a search in the known codes
+    takes a fifth of the time of sorting the block.
     """
 
     def __init__(self) -> None:
@@ -411,8 +413,8 @@ class _NumberTexts:
         return self._texts[places].view(np.uint8).reshape(len(values), -1)[:, :width]
 
     def _places(self, bits: npt.NDArray[Any], is_float: bool) -> Indices:
-        """Return the places (n,) of numbers among the known ones, to which unknown ones are added. Floats are told
-        apart by their `bits`, because -0.0 is another number than 0.0.
+        """Return the indices (n,) of numbers in the list of known numbers; unknown ones are added to it. Floats are
+        compared by their `bits`, because -0.0 and 0.0 have different texts.
         """
         if len(self._known):
             places = np.minimum(np.searchsorted(self._known, bits), len(self._known) - 1)

@@ -1,9 +1,9 @@
-"""The messages of an MCAP file: JSON, each kind with its JSON Schema, as Foxglove reads them.
+"""The messages of an MCAP file for Foxglove: JSON, with a JSON Schema for each kind of message.
 
 A sensor's message has its time, its frame and a field for each column: ``{"x", "y", "z"}`` for a triad. Messages with
-specific force and angular rate (a fused result, the truth) have the names of ROS's sensor_msgs/Imu: covariances row by
-row, whose first entry is -1 if the quantity is missing; `linear_acceleration` is specific force, as in ROS. Events are
-foxglove.Log (docs.foxglove.dev/docs/sdk/schemas/log), so that the Log panel shows them.
+specific force and angular rate (a fused result, the truth) have the names of ROS's sensor_msgs/Imu: covariances are row
+by row, and their first entry is -1 if the quantity is missing; `linear_acceleration` is specific force, as in ROS.
+Events are foxglove.Log (docs.foxglove.dev/docs/sdk/schemas/log), so that the Log panel shows them.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
         is_finite = _finite(triad)
         if is_finite:
             message[name] = dict(zip("xyz", triad, strict=True))
-        # In ROS, a covariance of zeros is not known.
+        # In ROS, a covariance of zeros means that it is not known.
         covariance = [six[entry] for entry in ENTRIES_OF_COVARIANCE] if _finite(six) else [0.0] * 9
         message[f"{name}_covariance"] = covariance if is_finite else _NOT_KNOWN
     if _finite([row.get("temperature", math.nan)]):

@@ -2,7 +2,7 @@
 
 Figures come from a log at rest, from a fused result at rest, or from the JSON file that `characterise` wrote. One
 accelerometer, one gyroscope, one of each, or a fused result are one IMU and one file. For more sensors there is a file
-for each, run_BMA1.yaml, ..., because an array has no figures of its own before it is fused.
+for each, run_BMA1.yaml, ..., because an array has no noise figures of the whole before it is fused.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from imuarray.spelling import guess
 from imuarray.units import INERTIAL, SI_PER_UNIT, UNITS_OF, Quantity
 
 _LARGEST = 1 << 28
-"""Most bytes of a characterisation; that of an array has a hundredth of this."""
+"""Largest size of a characterisation's file in bytes; that of an array has a hundredth of this."""
 
 _FUSED_TOPIC = "/fused"
 _REGULAR = 0.5
-"""Share of the usual interval by which an interval may differ within a run."""
+"""Largest difference of an interval within a run from the usual interval, as a share of it."""
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -138,8 +138,8 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
 
 
 def _is_moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
-    """Return which frames (n,) are in a second of motion: of readings that scatter more than those of a box at rest, or
-    whose mean differs from that of the second before or after.
+    """Return which frames (n,) are in a second of motion: the readings scatter more than those of a box at rest, or
+    their mean differs from that of the second before or after.
     """
     second = (time - time[:1]) // 1_000_000_000
     moving = np.zeros(int(second[-1]) + 1 if len(second) else 0, bool)
@@ -160,7 +160,7 @@ def _is_moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
 
 
 def _longest_run(time: Times, is_finite: Booleans) -> slice:
-    """Return the longest stretch of regular frames that are all there."""
+    """Return the longest stretch of frames at regular intervals without missing values."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else 0.0
     is_joined = is_finite[1:] & is_finite[:-1] & (np.abs(steps - usual) <= _REGULAR * usual)
@@ -176,7 +176,7 @@ def _interval_s(time: Times) -> float:
 
 
 def _fitted(values: Floats, interval_s: float) -> TriadNoise | None:
-    """Return the noise of (n, 3) values in SI; None of fewer than tell anything."""
+    """Return the noise of (n, 3) values in SI; None for fewer than 9 rows."""
     if len(values) < 9:
         return None
     curve = allan_deviation(values, interval_s, estimator="overlapping" if len(values) <= EXACT_ROWS else "decimated")

@@ -1,8 +1,9 @@
-"""npz: numpy's archive, one array a column, and a header; no objects, so that it loads with `allow_pickle=False`.
+"""npz: numpy's archive with an array for each column and a header. It has no objects, so that it can be loaded with
+`allow_pickle=False`.
 
-`Gyro1_time` (ns) and `Gyro1_counts` are two of the arrays; `header` holds the bytes of a JSON object, which
-`json.loads(run["header"].item())` gives, with everything that is no column. `arrays` in it states by table and column
-the name of each array, in case two names would be the same. Arrays are written a stretch of rows at a time: memory
+`Gyro1_time` (ns) and `Gyro1_counts` are two of the arrays; `header` is the bytes of a JSON object, which
+`json.loads(run["header"].item())` returns, with all data that are not columns. Its entry `arrays` states the name of
+each array by table and column, in case two names would be equal. Arrays are written in blocks of rows, so that memory
 doesn't grow with the log.
 """
 
@@ -41,7 +42,9 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def array_names(tables: Iterable[ExportTable]) -> dict[str, dict[str, str]]:
-    """Return the name of the array of each column of each table: Gyro1_counts; once more is Gyro1_counts_2."""
+    """Return the name of the array of each column of each table: Gyro1_counts; a second one of this name is
+    Gyro1_counts_2.
+    """
     used = {NPZ_HEADER}
     names: dict[str, dict[str, str]] = {}
     for table in tables:
@@ -53,7 +56,7 @@ def array_names(tables: Iterable[ExportTable]) -> dict[str, dict[str, str]]:
 
 
 def _write_header(archive: zipfile.ZipFile, content: Content, names: dict[str, dict[str, str]]) -> None:
-    """Everything that is no column, as bytes of ASCII: numpy's own text takes four bytes a letter."""
+    """Write all data that are not columns, as bytes of ASCII: numpy's text type takes four bytes per character."""
     units = {table.name: {column.name: column.unit for column in table.columns} for table in content.tables}
     head = head_with(content, arrays=names, column_units=units, phases=content.phases, events=content.events)
     with archive.open(f"{NPZ_HEADER}.npy", "w", force_zip64=True) as file:
@@ -61,7 +64,7 @@ def _write_header(archive: zipfile.ZipFile, content: Content, names: dict[str, d
 
 
 def _write_column(file: IO[bytes], table: ExportTable, column: TableColumn, meter: Meter) -> None:
-    """An array of a column: numpy's header, then its rows."""
+    """Write the array of a column: numpy's header, then its rows."""
     shape = (table.rows, *column.tail)
     npy.write_array_header_1_0(file, {"descr": column.kind, "fortran_order": False, "shape": shape})
     for rows in table.blocks():

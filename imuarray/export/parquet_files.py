@@ -1,10 +1,9 @@
-"""Parquet: one table a file, which `pandas.read_parquet`, Polars, DuckDB and others open with types, times and units.
-
-The column `time` has dates in UTC, to the nanosecond (`time_ns`, counted from the epoch, where that is no date); a
-triad is three columns, named as in CSV. The unit of a column is in its metadata; the file's own metadata have, under
-"imuarray", everything else that is known, as JSON. As in CSV, one table is the file itself, and a log of several is a
-file for each beside it, run_Acc.parquet, ..., and run.parquet says which holds what. Rows are written in groups: memory
-doesn't grow with the log.
+"""Parquet: one table per file, which `pandas.read_parquet`, Polars, DuckDB and others open with types, times and units.
+The column `time` has dates in UTC, to the nanosecond (`time_ns`, counted from the epoch, if the epoch is not a date); a
+triad is three columns, named as in CSV. The unit of a column is in its metadata; all other data are in the metadata of
+the file, as JSON under "imuarray". As in CSV, a single table is the file itself; for several tables there is a file for
+each next to it, run_Acc.parquet, ..., and run.parquet lists the files and their tables. Rows are written in groups, so
+that memory doesn't grow with the log.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ if TYPE_CHECKING:
     import pyarrow
 
 _GROUP_ROWS = 1 << 16
-"""Rows of a group: what a reader loads at once."""
+"""Rows of a group, which a reader loads at once."""
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write one table to `path`, or a file for each table beside it and their list to `path`; MissingExtraError."""
+    """Write one table to `path`, or a file for each table next to it and their list to `path`; MissingExtraError."""
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
@@ -49,12 +48,12 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """Return a file for each table, for phases and for events, and their list: all of them or, if one can't be,
-    none.
+    """Write a file for each table, for phases and for events, and their list; return the files. If one of them fails,
+    none is written.
     """
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in file_names(path, names)]
-    with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
+    with ExitStack() as stack:  # files get their names at its end; the list was entered first and gets its name last
         listed, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in (path, *files))
         for table, draft in zip(content.tables, drafts, strict=False):
             _write_table(draft, table, content, {"table": table.name, "about": dict(table.about)}, meter)

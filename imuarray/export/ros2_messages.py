@@ -9,8 +9,8 @@
 
 The two halves of a six-axis chip (NAME_acc, NAME_gyro) whose rows have equal times are one Imu, /sensors/NAME.
 
-A message of `sensor_msgs` is a header followed by numbers of 64 bits. Its frame is the same in all messages, so that
-they are equally long and numpy writes a block of them at once (CDR: OMG "DDS-RTPS" 2.2, chapter 10, little endian). In
+A message of `sensor_msgs` is a header followed by numbers of 64 bits. The frame is the same in all messages, so that
+they have equal length and numpy writes a block of them at once (CDR: OMG "DDS-RTPS" 2.2, chapter 10, little endian). In
 ROS, the first covariance of a missing estimate is -1, and an unknown covariance is zero.
 """
 
@@ -46,7 +46,7 @@ _VECTOR = "float64 x\nfloat64 y\nfloat64 z"
 
 
 def _definition(definition: str, **parts: str) -> str:
-    """Return a message's definition, followed by those of its parts, as rosbag2 stores it."""
+    """Return a message's definition, followed by those of its parts, in the form that rosbag2 stores."""
     texts = [definition, *(f"MSG: {name.replace('__', '/')}\n{text}" for name, text in parts.items())]
     return f"\n{_RULE}\n".join(texts) + "\n"
 
@@ -207,7 +207,7 @@ def _check(time_ns: int) -> None:
 
 
 def _stamped(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
-    """Return messages (n, bytes) with a std_msgs/Header: times (n,) ns since 1970, numbers (n, k) behind it."""
+    """Return messages (n, bytes) with a std_msgs/Header: times (n,) ns since 1970, followed by numbers (n, k)."""
     for extreme in (time_ns.min(initial=0), time_ns.max(initial=0)):
         _check(int(extreme))
     text = FRAME.encode() + b"\0"

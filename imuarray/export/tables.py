@@ -46,7 +46,9 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class ExportTable:
-    """Equally long columns, time in ns first; `name` as in its file ("sensors/Gyro1", "truth")."""
+    """Columns of equal length, with time in ns first; `name` is the name of the group in its file ("sensors/Gyro1",
+    "truth").
+    """
 
     name: str
     rows: int
@@ -65,7 +67,9 @@ class ExportTable:
 
 @dataclass(frozen=True)
 class Content:
-    """An open log or fused file as tables; `head` is JSON-ready and says everything else but phases and events."""
+    """An open log or fused file as tables; `head` contains all other data except phases and events, as values for
+    JSON.
+    """
 
     units: str
     epoch: str
@@ -76,24 +80,26 @@ class Content:
     uncalibrated: tuple[str, ...] = ()
 
     def exported(self, *files: Path) -> ExportSummary:
-        """Return the summary, once all of it is in `files`."""
+        """Return the summary of the export to `files`, after all of it is written."""
         rows = {table.name: table.rows for table in self.tables}
         return ExportSummary(files, rows, self.units, self.uncalibrated)
 
 
 def numbered(wish: str) -> Iterator[str]:
-    """Return a name, then name_2, name_3, ..., without end: one that is taken is followed by one that may not be."""
+    """Return an endless sequence of names: the name itself, then name_2, name_3, ..., so that a name in use can be
+    replaced by the next one.
+    """
     return chain([wish], (f"{wish}_{number}" for number in count(2)))
 
 
 class Meter:
-    """Counts rows of columns towards what there is of them."""
+    """Counts the exported rows of columns and reports their share of the total."""
 
     def __init__(self, content: Content, progress: Progress) -> None:
         self._total = sum(table.rows * len(table.columns) for table in content.tables) or 1
         self._done, self._progress = 0, progress
 
     def add(self, rows: int, columns: int = 1) -> None:
-        """Count so many rows of so many columns as done."""
+        """Count `rows` rows of `columns` columns as exported."""
         self._done += rows * columns
         self._progress(min(1.0, self._done / self._total))
