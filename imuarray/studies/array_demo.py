@@ -1,8 +1,8 @@
 """`imuarray demo --array NAME`: the whole path on any emulated array with accelerometers and gyroscopes.
 
-The runs are those of `imuarray.studies.demo`: six faces, a long rest, a heating, a shaking. The emulated world knows
-the truth, so that the error of each sensor, of their average and of each technique is measured. The sensors are polled;
-queues are switched off, because the demonstration needs few samples.
+The runs are those of `imuarray.studies.demo`: six faces, a long rest, a heating, a shaking. The emulated world provides
+the truth, so that the errors of each sensor, of their average and of each technique can be measured. The sensors are
+polled; queues are switched off, because the demonstration needs few samples.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _RUNS = {"static": "at rest", "heating": "heated", "shaking": "shaken"}
 @dataclass(frozen=True)
 class ArrayError:
     """The errors of one quantity against the truth in one run, in SI, rms over the three axes: of each single sensor by
-    its name, and of all together by technique.
+    its name, and of the fused results by technique.
     """
 
     run: str
@@ -59,13 +59,13 @@ class ArrayError:
         return float(np.median(list(self.single.values())))
 
     def ratio(self, technique: str) -> float:
-        """Error of a technique over that of the median sensor."""
+        """The error of a technique divided by that of the median sensor."""
         return self.fused[technique] / self.typical
 
 
 def run_array_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
     """Record, calibrate, fuse and report an array into `folder`; return the summary, JSON-ready. ConfigError for an
-    array without accelerometers or gyroscopes, OutputExistsError before anything is recorded, unless forced.
+    array without accelerometers or gyroscopes, OutputExistsError before anything is recorded, unless `options.force`.
     """
     array = load_array(config)
     for quantity in INERTIAL:
@@ -133,7 +133,7 @@ def _rms(log: Log, calibration: Calibration, technique: str, *names: str) -> dic
 
 
 def summary(errors: list[ArrayError]) -> list[str]:
-    """Return the summary: what averaging gains, run by run."""
+    """Return the summary: the gain of averaging in each run."""
     return [
         *map(_sentence, errors),
         "All figures are rms errors against the truth of the emulated world, after the calibration from six faces.",

@@ -1,9 +1,9 @@
 """`imuarray demo`: the whole path on the emulated array, from the bus to a page.
 
 It records four runs that need only a box, a table and a hair dryer: the six faces of the box, a long rest, a heating,
-and a shaking that exceeds the low range. The first run calibrates the array; the others show what each technique gains
-over the simple average of the same sensors. The emulated world knows the truth, so every gain is measured. Finally,
-`gap` compares three sensors at rest with a simulator of the data sheets.
+and a shaking that exceeds the low range. The first run calibrates the array; the others show the gain of each technique
+over the simple average of the same sensors. The emulated world provides the truth, so every gain can be measured.
+Finally, `gap` compares three sensors at rest with a simulator of the data sheets.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ Rows = Sequence[tuple["GainCase", Gain]]
 
 @dataclass(frozen=True)
 class GainCase:
-    """One comparison: a technique, on some sensors of one run, by the scatter or by the drift of its error.
+    """One comparison of a technique with the average, on some sensors of one run, by the scatter or by the drift of the
+    error.
 
-    `claim` is the quantity for which the paper expects a gain here, "" where it expects none.
+    `claim` is the quantity for which the paper expects a gain in this case, "" if it expects none.
     """
 
     technique: str
@@ -84,11 +85,13 @@ CASES = (
     GainCase("ranges", "static"),
     GainCase("ranges", "heating"),
 )
-"""The cases: first where the paper states that a technique helps, then others."""
+"""The cases: first those in which the paper states that a technique helps, then others."""
 
 
 def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
-    """Return every case's gains, per quantity and axis; the techniques on one sample are fused together."""
+    """Return the gains of every case, for each quantity and axis; all techniques on the same sample are evaluated in
+    one pass.
+    """
     gains: dict[GainCase, list[Gain]] = {}
     for run, only, names in dict.fromkeys(case.sample for case in CASES):
         cases = [case for case in CASES if case.sample == (run, only, names)]
@@ -288,7 +291,7 @@ def gain_section(rows: Rows) -> Section:
     unchanged: list[str] = []
     for case, gain in rows:
         if (gain.box_axis == "XYZ") == (gain.quantity == case.claim):
-            continue  # axis by axis where a gain is claimed, the whole triad elsewhere
+            continue  # each axis if a gain is claimed, otherwise the whole triad
         if isclose(gain.ratio, 1.0, rel_tol=1e-9):
             unchanged.append(f"{case.label} ({gain.quantity.replace('_', ' ')})")
             continue
@@ -368,7 +371,7 @@ def drift_of_gyroscopes(log: Log, calibration: Calibration, temperature: tuple[A
 
 
 def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
-    """Return time (s) and five-second means of the error about box Y in dps, less its first value."""
+    """Return time (s) and five-second means of the error about box Y in dps, minus the first value."""
     groups = (time - time[0]) // 5_000_000_000
     _, first = np.unique(groups, return_index=True)
     means = np.add.reduceat(error[:, 1], first) / np.diff(np.append(first, len(error)))
@@ -424,7 +427,7 @@ REPLICATES = 60
 
 def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
     """Record, calibrate, fuse and report into `folder`; return the summary, JSON-ready. OutputExistsError before
-    anything is recorded, unless forced.
+    anything is recorded, unless `options.force`.
     """
     prepare_folder(folder, options.force)
     logs, tumble, calibration = record_and_fuse(config, folder, options, report)
@@ -476,8 +479,8 @@ def demo_summary(
 
 
 def prepare_folder(folder: Path, force: bool, further_files: Sequence[str] = ()) -> Path:
-    """Make the folder, and return it; OutputExistsError if it contains a file of the demonstration or one of
-    `further_files`, unless forced.
+    """Create the folder and return it; OutputExistsError if it contains a file of the demonstration or one of
+    `further_files`, unless `force`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     existing = [
@@ -497,8 +500,8 @@ def prepare_folder(folder: Path, force: bool, further_files: Sequence[str] = ())
 def record_and_fuse(
     config: Path, folder: Path, options: DemoOptions, report: Report
 ) -> tuple[dict[str, Path], TumbleResult, Calibration]:
-    """Record all runs, calibrate by the run on six faces (calibration.toml), and write the heated run as fused by each
-    technique of `FUSED` (fused_NAME.h5). Return the logs by run, and the calibration.
+    """Record all runs, calibrate with the run on six faces (calibration.toml), and write the heating run fused by each
+    technique of `FUSED` (fused_NAME.h5). Return the logs by run, the result of the tumble, and the calibration.
     """
     logs = record_all(config, folder, options, report)
     report("calibrating")

@@ -1,5 +1,5 @@
-"""The runs of the demonstration: four recordings of the emulated array, each independent of the others, so that several
-processes may record them. Those processes load this module only, without any analysis.
+"""The runs of the demonstration: four recordings of the emulated array. They are independent of each other, so that
+several processes can record them. These processes load only this module, without any analysis.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from imuarray.gap.model.workers import processes
 from imuarray.log.format import Phase
 
 RATE_HZ = 48.0
-"""The rate at which the paper logged its full array: (std/sem)^2 / 900 s of its Table 10."""
+"""The rate in Hz at which the paper logged its full array: (std/sem)^2 / 900 s in its Table 10."""
 
 RUNS = {"tumble": 0.25, "static": 0.25, "heating": 0.42, "shaking": 0.08}
-"""The runs, and the share of the recorded time of each."""
+"""The runs, and the share of each in the recorded time."""
 
 Report = Callable[[str], None]
 

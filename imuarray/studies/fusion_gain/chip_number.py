@@ -2,8 +2,8 @@
 
 The units are drawn from the data sheets (`configs/models/datasheet.toml`). Data sheets state the scatter of the
 temperature slopes of the bias, but not the part that all units of a design share. The heating is therefore simulated
-with slopes that are drawn for each unit, and with the slope of the first unit for all, in the mounting of the array and
-with all in one direction.
+with slopes that are drawn for each unit, and with the slope of the first unit for all units; the latter both as the
+array is mounted and with all sensors in one direction.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.array_demo import polled_text
 
 NOISE_HZ, NOISE_S, NOISE_ROWS = 200.0, 120.0, 50
-"""Frames per second at rest: twice the usual bandwidth of 100 Hz, so that the noise keeps its density. It is also the
-rate of the means that are compared, because the mean of sensors that are read one after the other is smooth from row to
-row.
+"""At rest: frames per second, duration in s, and frames in each mean that is compared. The frame rate is twice the
+usual bandwidth of 100 Hz, so that the density of the noise is preserved. Means of frames are compared, because the
+sensors are read one after the other and their mean therefore correlates from row to row.
 """
 HEATING_HZ, HEATING_S = 20.0, 240.0
 I2C_HZ = 400_000
@@ -46,8 +46,9 @@ _RAD_PER_ROOT_S = math.degrees(1.0) * 60.0  # as degrees per root hour
 @dataclass(frozen=True)
 class NumberRow:
     """Results with the first `count` gyroscopes, rms over seeds and axes: angle random walk of their mean in
-    deg/sqrt(h); drift of the mean in deg/s while they are heated, with own slopes, with a shared slope all in one
-    direction, and with a shared slope as the array is mounted; bus time of a frame in us.
+    deg/sqrt(h); drift of the mean in deg/s during heating with an individual slope for each unit, with a shared slope
+    and all units in one direction, and with a shared slope and units as the array is mounted; bus time of a frame in
+    us.
     """
 
     count: int
@@ -115,7 +116,7 @@ def _squares(array: ArrayConfig, counts: Sequence[int], seed: int) -> Floats:
 
 
 def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
-    """Return the same sensors, all mounted as the first."""
+    """Return the same sensors, all mounted like the first one."""
     axes = array.sensors[0].axes
     return array.model_copy(
         update={"sensors": tuple(sensor.model_copy(update={"axes": axes}) for sensor in array.sensors)}
@@ -156,7 +157,9 @@ def _errors(path: Path) -> tuple[Times, Floats]:
 
 
 def _bus_us(sensor: SensorConfig) -> float:
-    """Return the time of one burst of the chip, by the clocks of its bytes: BUS-07, and the first byte on SPI."""
+    """Return the time of one burst of the chip in us, from the clocks of its bytes: BUS-07; on SPI, one byte more than
+    the data.
+    """
     size = sensor.spec.burst_bytes
     if sensor.on_spi:
         return 1e6 * 8 * (size + 1) / sensor.spi_rules.clock_hz

@@ -2,21 +2,22 @@
 
 Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. u is unknown in every frame (a flat prior, independent in
 time); the slow errors c are jointly normal, the noise w is white. The model is linear and normal, so the bound (Van
-Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) is the posterior covariance itself, and
-it is reached.
+Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) equals the posterior covariance and is
+reached.
 
-With noise whitened, N = R^-1/2, the columns of V an orthonormal basis of what N D can't reach (the parity space: m - 3
-directions), and G = (D' R^-1 D)^-1 D' R^-1 the weights of one frame alone::
+Let N = R^-1/2 whiten the noise, let the columns of V be an orthonormal basis of the complement of the range of N D (the
+parity space: m - 3 directions), and let G = (D' R^-1 D)^-1 D' R^-1 be the weights of a single frame. Then::
 
-    y = V' N z = V' N c + unit noise           tells of c whatever u is, and nothing else does
+    y = V' N z = V' N c + unit noise           depends on c and not on u; contains all information on c
     cov u(t)   = (D' R^-1 D)^-1 + G cov(c(t) | y) G'
 
-for G w and V' N w are uncorrelated. Over a stretch in which c is constant, L frames of y are equivalent to their mean
-with noise 1 / L: the white noise is aggregated without loss, at any rate of the log. c at all stretches is one normal
-vector (T m,), conditioned on one stretch after the other by dense linear algebra; no state-space form, no filter.
+because G w and V' N w are uncorrelated. Over a stretch in which c is constant, L frames of y are equivalent to their
+mean with noise of variance 1 / L, so frames are aggregated without loss, at any rate of the log. c at all stretches is
+one normal vector (T m,), which is conditioned on one stretch after the other by dense linear algebra, without a
+state-space form or a filter.
 
-Causal: at each stretch after its own readings (all of them, so that the bound is below the error of a filter within
-it); smoothed: after all readings.
+The causal bound of a stretch is conditioned on its own and all earlier readings; because these include all readings of
+the stretch, it is below the error of a filter within the stretch. The smoothed bound is conditioned on all readings.
 
 `true_calibration` and `law_of` give the true parameters of simulated units: the constant errors (response, bias and its
 temperature slope) as a calibration, and the distribution of the errors that change at each switch-on or continuously
@@ -55,9 +56,10 @@ from imuarray.units import INERTIAL, SI_PER_UNIT
 
 @dataclass(frozen=True)
 class SlowError:
-    """``loading x(t)`` on the m axes, x ~ N(0, 1) at any time, loading (m,) in SI: of one axis, or shared by several.
-    The correlation of x is ``exp(-|t| / time_constant_s)`` (first-order Gauss-Markov; inf: a constant, as turn-on).
-    With `per_degc` it is a slope: x times the temperature's distance from that reference, in degC.
+    """A slow error ``loading x(t)`` of the m axes, x ~ N(0, 1) at any time, loading (m,) in SI. It belongs to one axis
+    or is shared by several. The correlation of x is ``exp(-|t| / time_constant_s)`` (first-order Gauss-Markov; inf: a
+    constant, such as turn-on bias). With `per_degc` it is a slope: x is multiplied by the difference of the temperature
+    from this reference, in degC.
     """
 
     loading: Floats
@@ -89,7 +91,7 @@ class StretchReadings:
 
 @dataclass(frozen=True)
 class BoundStretch:
-    """Frames about `time_s` in which slow errors are taken as constant, at one temperature."""
+    """Frames around `time_s` in which slow errors and temperature are assumed to be constant."""
 
     time_s: float
     seen: tuple[StretchReadings, ...]
@@ -110,12 +112,12 @@ class Bound:
 
     @property
     def causal_rms(self) -> Floats:
-        """The least rms error (3,) about each box axis of an estimator without future readings."""
+        """The smallest rms error (3,) for each box axis of an estimator without future readings."""
         return _rms(self.causal, self.frames)
 
     @property
     def smoothed_rms(self) -> Floats:
-        """The least rms error (3,) of any estimator."""
+        """The smallest rms error (3,) for each box axis of any estimator."""
         return _rms(self.smoothed, self.frames)
 
 
@@ -272,14 +274,14 @@ def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibr
 
 
 def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
-    """Return a parameter (3,) of the effects of one kind, their root sum of squares or sum; zero without any."""
+    """Return a parameter (3,) of the effects of one kind: their root sum of squares or their sum; zero without any."""
     result = np.array([np.zeros(3), *(getattr(effect, name) for effect in effects if isinstance(effect, kind))])
     return np.asarray(np.sqrt((result**2).sum(axis=0)) if name == "rms" else result.sum(axis=0))
 
 
 STRETCHES = 60
-"""Number of stretches of a log: 11 s each of the longest. Slow errors of the simulated array have time constants of 600
-s: about its mean over 11 s such an error scatters by 11 / 600 / 3 = 0.6 % of its variance, which is itself small
+"""Number of stretches of a log; those of the longest log last 11 s. Slow errors of the simulated array have time
+constants of 600 s. About its mean over 11 s, this error has 11 / 600 / 3 = 0.6 % of its variance, which is itself small
 compared with the noise.
 """
 
@@ -314,7 +316,7 @@ class Posterior:
         return (frames for frames, _ in aligned(self._log, self._calibration, only=names))
 
     def _stretches(self, quantity: str) -> list[BoundStretch]:
-        """Return the observations of each stretch, pattern by pattern of the axes that had a reading."""
+        """Return the readings of each stretch, separately for each pattern of axes that had a reading."""
         sums: list[dict[bytes, tuple[int, Floats]]] = [{} for _ in range(STRETCHES)]
         for part in (frames[quantity] for frames in self._frames()):
             present, stretch = axes_known(part), self._stretch_of(part.time)
@@ -347,7 +349,9 @@ class Posterior:
 
 
 def axes_known(part: Frames) -> Booleans:
-    """Return (n, m) axes that had a reading: valid, or beyond the range while another axis of the triad was not."""
+    """Return (n, m) whether an axis had a reading: it is valid, or it is beyond the range while another axis of the
+    triad is not.
+    """
     if part.clipped is None or not part.clipped.any():
         return part.valid
     triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)

@@ -82,14 +82,14 @@ of Gyro1, Gyro2 and Gyro3, and its specific force that of all six accelerometers
 """
 
 RATE_HZ = 48.0
-"""Frames per second: the paper's array was read about as often. At a rate of 50 Hz the gyroscopes' 50 Hz tone would be
-a constant.
+"""Frames per second: approximately the rate of the paper's array. At exactly 50 Hz, the 50 Hz tone of the gyroscopes
+would be a constant.
 """
 
 TUMBLE_S, HEATING_S, BOOT_S = 300.0, 900.0, 30.0
 BOOTS = 12
 _FIRST_BOOT = 1000
-"""First boot of the calibrating logs: it is larger than that of any log that is fused."""
+"""First boot number of the logs for calibration, larger than that of any log that is fused."""
 
 FAULTS = ("range_reset",)
 """Effect that is never simulated: a unit that starts in another range is a fault to be detected, not an error to be
@@ -147,8 +147,8 @@ class StudyExperiment:
     """Experiment of the study: the motion of the box (`imuarray.simulate.experiments`), its length, the number of
     switch-ons, and whether the bound holds.
 
-    It does not under a motion that is fast for the chips' converters: a reading is up to a converter's period old,
-    which the bound does not include.
+    The bound does not hold for a motion that is fast compared with the chips' data rates, because a reading is up to
+    one conversion period old and the bound does not include this delay.
     """
 
     motion: str
@@ -168,7 +168,7 @@ EXPERIMENTS: Mapping[str, StudyExperiment] = MappingProxyType(
         "shaking": StudyExperiment("motion", 120.0, "hand", is_bounded=False),
     }
 )
-"""Experiments by name. "heating" is the paper's profile at a tenth of its time, with all of its 28 degC."""
+"""Experiments by name. "heating" is the paper's profile in a tenth of its time, with the full rise of 28 degC."""
 
 
 _BOOTS_APART = 100
@@ -216,7 +216,7 @@ def _of_boot(
     calibrations: Mapping[str, Calibration],
     folder: Path,
 ) -> Iterator[RunErrors]:
-    """Return the results of one log of all effects and one with the effects of the law."""
+    """Yield the results of one log with all effects, and of one with only the effects that the error law describes."""
     experiment = EXPERIMENTS[name]
     motion = MOTIONS[experiment.motion](
         ExperimentOptions(seconds=seconds or experiment.seconds, drive=experiment.drive)
@@ -259,7 +259,7 @@ def _results(
 
 
 def _compare_with_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
-    """Yield the techniques with the true calibration, and the posterior mean, each with the bound."""
+    """Yield the errors of the techniques with the true calibration, and of the posterior mean, each with the bound."""
     headers = {
         quantity: [
             sensor.header
@@ -290,7 +290,7 @@ def _errors_of(
         measures = {
             "rms": frames.errors,
             "noise": np.diff(frames.errors, axis=0) / np.sqrt(2),
-            "drift": ten_second_means(frames.time, frames.errors)[1:],  # less the first of them
+            "drift": ten_second_means(frames.time, frames.errors)[1:],  # relative to the first
         }
         yield label(
             quantity=quantity,
@@ -312,7 +312,7 @@ def _errors_of(
 
 
 def _by_axis(squares: Floats) -> dict[str, float]:
-    """Return the figures of each box axis, and their sum: that of the length of the error."""
+    """Return the mean square of each box axis, and their sum, which is that of the length of the error vector."""
     return dict(zip(AXES, [*squares.tolist(), float(squares.sum())], strict=True))
 
 
@@ -330,9 +330,9 @@ class GainRow:
     """One measure of one technique, over all seeds.
 
     `value`: root mean square in SI (degrees of heading, m/s of velocity). `over_mean`: relative to the simple average
-    of the same sensors; `over_bound`: relative to the bound (only for "rms" with the true calibration), the smoothed
-    one for techniques that use the whole log, else the causal one. `normalised`: the mean normalised error squared, and
-    the share of runs in which it was in its interval ("rms").
+    of the same sensors; `over_bound`: relative to the bound (only for "rms" with the true calibration), which is the
+    smoothed one for techniques that use the whole log and otherwise the causal one. `normalised`: the mean normalised
+    error squared, and the share of runs in which it was in its interval ("rms").
     """
 
     experiment: str
@@ -349,7 +349,7 @@ class GainRow:
     consistent: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the row, JSON-ready; an end of an interval that one seed can't determine is None."""
+        """Return the row, JSON-ready; an end of an interval that cannot be determined from one seed is None."""
         return {name: json_value(value) for name, value in vars(self).items()}
 
 
@@ -442,7 +442,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
 _HEAD = f"  {'':18} {'rms':>8} {'over the average':>23} {'its drift':>23} {'over the bound':>23} {'normalised^2':>12}"
 
 _NEGLIGIBLE = 5e-4
-"""A change of a ratio that three digits do not show."""
+"""Change of a ratio that is not visible in three digits."""
 
 _WIDE = 20.0
 """Ratio of the ends of an interval above which it has no information."""
@@ -456,7 +456,9 @@ WORDS = {
 
 
 def render_text(study: Study) -> str:
-    """Yield the lengths of error vectors, a line for each technique with an effect; then coasting."""
+    """Return the results as text: the lengths of error vectors, one line for each technique that changes the result;
+    then the results of coasting.
+    """
     return "".join(f"{line}\n" for line in _lines(study))
 
 
@@ -476,7 +478,7 @@ def _lines(study: Study) -> Iterator[str]:
 
 
 def changed(row: GainRow) -> bool:
-    """Return whether a technique has an effect."""
+    """Return whether a technique changes the result of the average."""
     return abs(row.over_mean.ratio - 1) > _NEGLIGIBLE
 
 
@@ -512,7 +514,7 @@ def _coasting_lines(rows: Sequence[GainRow]) -> Iterator[str]:
 
 
 def interval_text(ratio: Ratio) -> str:
-    """Return a ratio with its interval, where there is one."""
+    """Return a ratio as text, with its interval if there is one."""
     if ratio.low == ratio.high or not ratio.low < ratio.high:
         return f"{ratio.ratio:.3f}"
     if ratio.high > _WIDE * ratio.low:

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 _NEGLIGIBLE = 1e-6
-"""Difference in rad/s below which two techniques are drawn once."""
+"""Difference in rad/s below which two techniques are drawn as one curve."""
 
 
 class HeatingErrors(NamedTuple):
@@ -96,7 +96,7 @@ _MARKERS = "osD^vPX*"
 
 
 def ratios_figure(panels: Mapping[str, Sequence[GainRow]], ratio_name: str) -> Drawing:
-    """Return a panel for each heading, a row for each experiment and a mark for each technique: its `over_mean` or
+    """Draw a panel for each heading, with a row for each experiment and a mark for each technique: its `over_mean` or
     `over_bound` (`ratio_name`) with its interval.
     """
     figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
@@ -138,13 +138,13 @@ def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequen
 
 
 _BEYOND = 3.0
-"""Limit of an interval in multiples of the largest ratio: it is cut there, because few seeds can make an interval very
-long.
+"""Limit of an interval in multiples of the largest ratio. Longer intervals are cut off there, because an interval from
+few seeds can be very long.
 """
 
 
 _MOST_RATIO = 4.0
-"""Largest ratio that is drawn at its place: a larger one is an arrow with its number at the edge, because it would
+"""Largest ratio that is drawn to scale. A larger one is drawn as an arrow with its value at the edge, because it would
 compress all others.
 """
 
@@ -198,7 +198,7 @@ def heating_figure(
 
 
 def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
-    """Return the figures by file name, those that have rows; MissingExtraError without matplotlib."""
+    """Return the figures that have rows, by file name; MissingExtraError without matplotlib."""
     vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
     bounded = study.of(measure="rms", box_axis="XYZ", calibration="true")
     bounded = [row for row in bounded if row.technique != SMOOTHED and (row.technique == AVERAGE or changed(row))]
@@ -340,6 +340,7 @@ def _line(row: GainRow) -> list[str]:
 
 
 _LOST_DEG = 60.0
-"""Root mean square error from which a heading is unknown: a random heading has an error of 104 degrees."""
+"""Root mean square error in degrees from which on a heading counts as unknown; that of a random heading is 104 degrees.
+"""
 
 _END_UNITS = {"heading": "deg", "velocity": "m/s"}

@@ -6,8 +6,7 @@ Nashville, Tennessee, September 2013: "the paper" everywhere in this project. It
 to 11 (`tables/`) are the only published measurements of that array.
 
 Counts are "lsb", specific force mg and angular rate degrees per second here, as the paper prints them. Numbers are
-decimal, so that there is no binary rounding before the comparison with a printed digit. Only the standard library is
-needed.
+decimal, so that no binary rounding precedes the comparison with a printed digit. Only the standard library is needed.
 """
 
 from __future__ import annotations

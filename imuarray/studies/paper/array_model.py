@@ -1,10 +1,10 @@
-"""The model of the paper's array, fitted to its tables: `configs/models/martin2013.toml` is what this prints.
+"""The model of the paper's array, fitted to its tables. This module prints `configs/models/martin2013.toml`.
 
 ``python -m imuarray.studies.paper.array_model > configs/models/martin2013.toml``
 
 Wander. Means of a Gauss-Markov process over windows explain Table 11's columns. x is stationary with unit variance and
-correlation exp(-|t| / time_constant). Windows of T seconds follow on each other; with r = time_constant / T and d =
-exp(-1 / r), integrating the correlation over one window or over two gives
+correlation exp(-|t| / time_constant). Windows of T seconds follow each other directly; with r = time_constant / T and d
+= exp(-1 / r), integrating the correlation over one window or over two gives
 
     var(mean) = 2 r (1 - r (1 - d)),        cov(means k windows apart) = r^2 (1 - d)^2 d^(k - 1),  k >= 1.
 
@@ -15,19 +15,21 @@ and at temperature T is, in counts and along a sensor axis,
 
 The six faces of Table 10, brought to 25 degC with the slopes of Table 8 and the face temperatures, give bias (their
 mean) and response (half-differences). An accelerometer's response, turned into the sensor's nominal axes, is the
-direction of its axis times (1 + error); a gyroscope's is its sensitivity to specific force. Table 8's heating had +Z up
-all the time: an axis along Z carried 1 g, and its slope may as well be that of its scale factor. It stands as bias.
+direction of its axis times (1 + error); a gyroscope's is its sensitivity to specific force. During the heating of Table
+8, +Z was always up: an axis along Z measured 1 g, so its slope may also be that of its scale factor. The model uses it
+as the slope of the bias.
 
 Everything is in g or dps with the data sheets' typical sensitivities, along the sensor's own axes.
 
-Population. Nine sensors on one board also say something about other units of the three designs: k units with values of
-mean m and standard deviation s (over units and axes) foretell a further one as m +- s sqrt(1 + 1/k): it differs from
-its design's mean by s, and that mean is known to s / sqrt(k) only. The second part is the same for all units that
-anybody draws, so a share 1 / (k + 1) of the variance is common to them (`shared`). What the paper calls common to a
-design (gyroscope drifts positive in eight of nine, ADXL345 z axes noisier and drifting down) stands in the means.
-Parameters that can't be negative are cut off at 0 and as far above the mean.
+Population. Nine sensors on one board also predict other units of the three designs. From k units whose values have mean
+m and standard deviation s (over units and axes), a further unit is predicted as m +- s sqrt(1 + 1/k): it differs from
+the mean of its design by s, and that mean is only known to s / sqrt(k). The second part is the same for all units that
+are drawn, so a share 1 / (k + 1) of the variance is common to them (`shared`). Properties that the paper calls common
+to a design (eight of nine gyroscope drifts are positive; ADXL345 z axes are noisier and drift down) are contained in
+the means. Parameters that cannot be negative are truncated at 0 and at the same distance above the mean.
 
-A fault that one unit of several showed (two bias states, a range lost at power-on) is no spread and left out.
+Faults of single units (two bias states, a range that is lost at power-on) are not part of the populations and are
+omitted.
 """
 
 from __future__ import annotations
@@ -60,16 +62,18 @@ from imuarray.studies.paper.tables import (
 from imuarray.studies.paper.variation import bias_states, boot_faults
 
 WINDOW_S = 300.0
-"""Table 11's means are over five minutes (section 4)."""
+"""Duration in s of the means of Table 11: five minutes (section 4)."""
 PARTS = 15
 """Number of consecutive windows, and of runs, of which Table 11 gives the standard deviation."""
 TIME_CONSTANT_S = 600.0
-"""Time constant of the in-run wander, one for all channels. The paper prints none; three columns bracket it.
+"""Time constant in s of the in-run wander, the same for all channels. The paper does not print it; three columns
+bracket it.
 
-Longer than 100 s: first and last face of Table 10 differ, drift with temperature taken out, by a median of 1.6 of Table
-11's in-run deviations, where a wander of 100 s makes it 0.64, one of 600 s 0.94 and one of 3000 s 1.4; and range over
-deviation of Table 11's fifteen windows is 3.39 on average, where independent windows have 3.54 and those of a wander of
-600 s 3.45. Shorter than 1000 s: BMA3's x and y vary less from run to run than within one.
+It is longer than 100 s. After subtraction of the drift with temperature, the first and last face of Table 10 differ by
+a median of 1.6 in-run deviations of Table 11; a time constant of 100 s predicts 0.64, 600 s predicts 0.94 and 3000 s
+predicts 1.4. The ratio of range to deviation of Table 11's fifteen windows is 3.39 on average; independent windows have
+3.54, and a time constant of 600 s gives 3.45. It is shorter than 1000 s, because x and y of BMA3 vary less from run to
+run than within a run.
 """
 
 
@@ -99,15 +103,15 @@ CHIP = {"ADXL": "adxl345", "BMA": "bma180", "Gyro": "l3g4200d"}
 RANGE = {"16g": 16.0, "1.5g": 1.5, "2k dps": 2000.0, "250dps": 250.0}
 """Ranges as the tables print them, in the sensor's unit."""
 STEP_LSB = {"ADXL": 2.0, "BMA": 1.0, "Gyro": 1.0}
-"""Distance of the codes that occur: the ADXL345 returned even ones only (appendix A.2)."""
+"""Step between the codes that occur: the ADXL345 returned only even codes (appendix A.2)."""
 TONE_HZ = 50.0
 """The line on the gyroscopes' y axis (appendix A.1, Figure 14)."""
 CUTOFF_HZ = 51.0
 """exp(-2 pi cutoff / 350 Hz) = 0.4, the correlation of neighbours in Figure 13."""
 TONE_SHARE = 0.03
-"""Our assumption of its share of Table 9's variance on y; no number is printed. The autocorrelation of 480 000 readings
-then ripples by 0.03, twenty times its sampling error ("can be clearly seen"), and y's deviation grows by 1.5 %, less
-than the 5 % by which Table 9's x and z differ from each other.
+"""Assumed share of the line in Table 9's variance on y; the paper prints no number. With this share the autocorrelation
+of 480 000 readings has a ripple of 0.03, twenty times its sampling error ("can be clearly seen"), and the deviation of
+y grows by 1.5 %, which is less than the 5 % by which Table 9's x and z differ from each other.
 """
 STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
 
@@ -118,7 +122,7 @@ class SensorUnit:
 
     `bias` at 25 degC (Gyro3: in its first state), `response` to force along the sensor's nominal axes, `slope` per
     degC, `noise` of single readings, `in_run` the stationary wander's rms, `turn_on` the scatter between runs.
-    `thermometer` is the error of the chip's own one, (offset, rms) in degC; None without one.
+    `thermometer` is the error of the chip's own thermometer, (offset, rms) in degC; None without a thermometer.
     """
 
     name: str
@@ -170,7 +174,9 @@ def tone_dps() -> float:
 
 
 def gyro3_other_state_lsb() -> Floats:
-    """Return the step from Gyro3's first state of Table 7 to its second, in counts: 8 of 15 runs started in that."""
+    """Return the step from Gyro3's first state of Table 7 to its second, in counts; 8 of 15 runs started in the second
+    state.
+    """
     first, second = bias_states()
     return np.asarray(np.array(second.centre) - np.array(first.centre))
 
@@ -187,8 +193,8 @@ def bma1_reset_offset_g() -> Floats:
 def bma1_reset_noise_share() -> Floats:
     """Return the noise of BMA1 in run 10 over its usual noise in g.
 
-    Table 11 prints the mean deviation of the 15 runs; the fourteen sound ones are taken to differ from the continuous
-    run as BMA2's do, and the rest is run 10's.
+    Table 11 prints the mean deviation of the 15 runs. The deviation of the fourteen runs without the fault is assumed
+    to have the same ratio to that of the continuous run as for BMA2; the rest of the sum is that of run 10.
     """
     continuous, runs = (_column(11, "BMA1", column) for column in ("cont_std", "runs_std"))
     sound = continuous * _column(11, "BMA2", "runs_std") / _column(11, "BMA2", "cont_std")
@@ -204,7 +210,7 @@ def runs_of(name: str) -> Floats:
 
 
 def gyro1_bias_at_250dps() -> Floats:
-    """Return Gyro1 at 250 dps, from Table 9 (+X up): another range, another bias (section 5.1)."""
+    """Return the bias of Gyro1 at 250 dps from Table 9 (+X up), because the bias depends on the range (section 5.1)."""
     gyro = unit_of("Gyro1")
     rows = [row for row in table(9) if row["range"] == "250dps"]
     means = np.array([float(number_in(row, "mean_dps")) for row in rows])
@@ -213,7 +219,9 @@ def gyro1_bias_at_250dps() -> Floats:
 
 
 def high_rate_degc(range_name: str) -> float:
-    """Return the temperature of a high-rate experiment of Table 9 by Gyro1's own thermometer: no other is printed."""
+    """Return the temperature of a high-rate experiment of Table 9 by Gyro1's own thermometer, which is the only one
+    that is printed.
+    """
     rows = [row for row in table(9) if row["output"] == "Gyro1 t"]
     row = rows[0] if range_name == "250dps" else rows[1]
     return _zero("Gyro1") - float(number_in(row, "mean_lsb"))
@@ -251,28 +259,32 @@ def _six_faces(name: str, rows: Sequence[Row], slope: Floats) -> tuple[Floats, F
 
 
 def _noise(name: str, design: str, lsb: float) -> Floats:
-    """Return the root of the mean variance in three experiments, less rounding and the line, counts."""
+    """Return the root of the mean variance in three experiments, in counts, without rounding and the line."""
     variance = np.mean([_column(number, name, column) ** 2 for number, column in STDS], axis=0)
     tone = np.array([0.0, (tone_dps() / lsb) ** 2 / 2, 0.0]) if design == "Gyro" else 0.0
     return np.asarray(np.sqrt(variance - STEP_LSB[design] ** 2 / 12 - tone))
 
 
 def _in_run(name: str, slope: Floats) -> Floats:
-    """Return Table 11's in-run deviation, less white noise and the drift with temperature, as a wander."""
+    """Return the rms of the in-run wander from Table 11's in-run deviation, after subtraction of white noise and the
+    drift with temperature.
+    """
     scatter = _column(11, name, "cont_std_of_means") ** 2 - _column(11, name, "cont_sem") ** 2
     remaining = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
     return np.asarray(np.sqrt(np.maximum(remaining, 0) / expected_scatter()))
 
 
 def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
-    """Return Table 11's run-to-run deviation, less white noise, temperature and the in-run wander of a run's mean."""
+    """Return the turn-on deviation from Table 11's run-to-run deviation, after subtraction of white noise, temperature
+    and the in-run wander of a run's mean.
+    """
     remaining = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
     return np.asarray(np.sqrt(np.maximum(remaining - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
 
 
 def _run_variance(name: str) -> Floats:
-    """Return the variance of the runs' means: BMA1's without its fault, Gyro3's within its states, else Table 11's
-    column.
+    """Return the variance of the runs' means: for BMA1 without its fault, for Gyro3 within its states, otherwise Table
+    11's column.
     """
     if name == "BMA1":
         return np.asarray(np.delete(runs_of(name), [fault.run - 1 for fault in boot_faults()], axis=0).var(0, ddof=1))
@@ -308,14 +320,14 @@ def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
 
 
 def _code_variance(name: str, codes_per_degc: float) -> float:
-    """Return the mean variance of the thermometer's codes in three experiments, less that of the temperature itself."""
+    """Return the mean variance of the thermometer's codes in three experiments, minus that of the temperature."""
     variances = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in STDS]
     return float(np.mean(variances) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in STDS]))
 
 
 def rms_before_rounding(variance: float) -> float:
-    """Return the noise that, rounded to whole codes about a mean at a random place between two, has this variance on
-    average.
+    """Return the rms of the noise that has this variance, on average, after rounding to whole codes, if its mean is at
+    a random position between two codes.
 
     The average is s^2 + 1/12 - sum_k exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2); it grows with s from 0.
     """
@@ -331,8 +343,9 @@ def rms_before_rounding(variance: float) -> float:
 Table = dict[str, object]
 
 NOISE_BANDWIDTH_HZ = {"adxl345": 800.0, "l3g4200d": 35.0}
-"""Bandwidths of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32) and 35
-Hz (finding: 0.03 dps/sqrt(Hz), L3G-74). The paper does not state the BMA180's; its noise is used as printed.
+"""Bandwidths in Hz of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32),
+and 35 Hz (this gives 0.03 dps/sqrt(Hz), L3G-74). The paper does not state that of the BMA180; its noise is used as
+printed.
 """
 
 
@@ -354,7 +367,7 @@ def spread(values: Floats, count: int, *, positive: bool = False) -> NormalPopul
 
 
 def about_zero(values: Floats, count: int) -> NormalPopulation:
-    """Return the same if no direction is preferred: mean 0."""
+    """Return the same for a parameter without a preferred sign: the mean is 0."""
     return NormalPopulation(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / count), 1 / (count + 1))
 
 
@@ -369,7 +382,7 @@ def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
             head["noise_bandwidth_hz"] = NOISE_BANDWIDTH_HZ[chip]
         yield head, _population(group, _POPULATION_EFFECTS)
         ranges = dict.fromkeys(unit.range for unit in group)
-        for name in ranges if len(ranges) > 1 else ():  # but for the bias, gyroscopes are alike at both (section 5.1)
+        for name in ranges if len(ranges) > 1 else ():  # only the bias of gyroscopes depends on the range (section 5.1)
             members = [unit for unit in group if unit.range == name]
             yield {**head, "range": RANGE[name]}, _population(members, _OF_RANGE if design == "BMA" else ("bias",))
 
@@ -378,11 +391,13 @@ _OF_RANGE = ("bias", "turn_on_bias", "bias_instability", "white_noise")
 _POPULATION_EFFECTS = (
     "g_sensitivity", "misalignment", "scale", "thermal_bias", "thermometer", *_OF_RANGE, "tone", "bandwidth"
 )  # fmt: skip
-"""Return the effects of units of a design, in the order of the file; faults of single units are no population."""
+"""The effects that have populations, in the order of the file; faults of single units are not included."""
 
 
 def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, Table]:
-    """Return the effects that these units predict for others, without those that none of them has."""
+    """Return the effects that these units predict for other units of the design; effects that they do not have are
+    omitted.
+    """
     measured = [unit_effects(unit) for unit in group]
     design, first = group[0].design, measured[0]
     return {
@@ -395,8 +410,8 @@ def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, 
 
 
 def _foretold(design: str, effect: str, key: str, values: Sequence[object]) -> object:
-    """Return a parameter's population, one for all axes; two where x and y are one design and z another (ADXL345,
-    section 2.2).
+    """Return the population of a parameter: one for all axes, or for the ADXL345 one for x and y and another one for z,
+    whose design differs (section 2.2).
     """
     if effect in ("tone", "bandwidth") or key == "time_constant_s":
         return values[0]
@@ -467,7 +482,7 @@ def fit_text() -> str:
 
 
 def unit_effects(unit: SensorUnit) -> dict[str, Table]:
-    """Return the effects of a known unit: keys and figures as a model file has them."""
+    """Return the effects of a known unit, with keys and values in the form of a model file."""
     u = unit.unit
     effects: dict[str, Table] = {"g_sensitivity": {"response_dps_per_g": unit.response.ravel()}}
     if u == "g":

@@ -1,11 +1,11 @@
-"""The paper's conclusions, slips and stated figures, each checked against its own tables.
+"""The paper's conclusions, slips and stated figures, each of which is checked against the paper's own tables.
 
 A `Statement` is a claim with the evidence and the verdict; the verdict is always computed from the tables.
 `conclusions` checks those of sections 5.2.4, 6 and 7 by criteria that the evidence states. Two criteria recur: a sign
-is common when an exact two-sided sign test gives p < 0.05 (axes taken as independent); a figure is significantly lower,
-or halved, when its ratio is at most 0.6, because the paper says "half" of a ratio of 0.56. `slips` are the places where
-text, formula or column disagree with the tables. `stated` recomputes the figures in the text; a figure has the
-precision of its printed digits: "around 50" is 50 to one digit.
+is common if an exact two-sided sign test gives p < 0.05 (axes assumed to be independent); a figure is significantly
+lower, or halved, if its ratio is at most 0.6, because the paper calls a ratio of 0.56 "half". `slips` are the places at
+which text, formula or column disagree with the tables. `stated` recomputes the figures in the text; a figure has the
+precision of its printed digits: "around 50" is 50 with one digit.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ from imuarray.studies.paper.variation import (
 
 @dataclass(frozen=True)
 class Statement:
-    """A claim of the paper (its place first), the evidence from its own tables, and the verdict."""
+    """A claim of the paper (beginning with its place), the evidence from its own tables, and the verdict."""
 
     claim: str
     evidence: str
@@ -86,7 +86,7 @@ _HALVED = Decimal("0.6")
 _ADXL = ("ADXL1", "ADXL2")
 _GYROS = ("Gyro1", "Gyro2", "Gyro3")
 _STEADY_BMA = ("BMA2", "BMA3", "BMA4")
-"""BMA1 is left out of turn-on figures, as the paper does: one of its runs is a boot fault."""
+"""The sensors of turn-on figures. BMA1 is omitted, as in the paper, because one of its runs is a boot fault."""
 _STATED_STATES = ((0.0, 69.0, 2.0), (-13.0, 75.0, 0.0))
 """Section 5.2.4, Gyro3's two sets of biases in counts."""
 _RANGES = {"BMA": ("1.5g", "16g"), "Gyro": ("250dps", "2k dps")}
@@ -372,7 +372,7 @@ CONCLUSIONS: tuple[Callable[[], Statement], ...] = (
 
 
 def conclusions() -> tuple[Statement, ...]:
-    """Return every conclusion, judged, in the order of the paper's sections."""
+    """Return every conclusion with its verdict, in the order of the paper's sections."""
     return tuple(judge() for judge in CONCLUSIONS)
 
 
@@ -551,7 +551,7 @@ SLIPS: dict[str, Callable[[], Statement]] = {
 
 
 def slips() -> tuple[Statement, ...]:
-    """Return every statement of `SLIPS`, judged; in a paper without slips all would hold."""
+    """Return every statement of `SLIPS` with its verdict; in a paper without slips all would hold."""
     return tuple(judge() for judge in SLIPS.values())
 
 
@@ -648,7 +648,7 @@ def _appendix_a() -> Iterator[_Figure]:
 
 
 def _ends(place: str, what: str, printed: Sequence[str], values: Sequence[Decimal], source: str) -> Iterator[_Figure]:
-    """Yield the least and the greatest of several, as "1.2 to 1.8"."""
+    """Yield the smallest and the largest of several values, for a text such as "1.2 to 1.8"."""
     yield _Figure(place, f"{what}: least", printed[0], min, values, source)
     yield _Figure(place, f"{what}: most", printed[1], max, values, source)
 
@@ -667,7 +667,7 @@ def _negative(values: Sequence[Decimal]) -> Decimal:
 
 
 def _halves(values: Sequence[Decimal]) -> Decimal:
-    """Return the mean size of the first half over that of the second."""
+    """Return the mean absolute value of the first half divided by that of the second half."""
     sizes = [abs(value) for value in values]
     return mean(sizes[: len(sizes) // 2]) / mean(sizes[len(sizes) // 2 :])
 

@@ -180,7 +180,7 @@ _MILLI_G = {"ADXL1": 1000 / 256, "BMA2": 1000 / 512}
 
 
 def in_run_figure(curves: Curves) -> Figure:
-    """Draw a figure like Figure 6: a continuous run, averaged over five minutes, less its mean."""
+    """Draw a figure like Figure 6: a continuous run, averaged over five minutes, minus its mean."""
     figure, panels = _sheet(7.5, 8.0, 3)
     for panel, (title, names) in zip(panels, _GROUPS, strict=True):
         for name, colour in zip(names, _SENSOR_COLOURS, strict=False):
@@ -320,7 +320,7 @@ def _finish_allan(panel: Axes, label: str) -> None:
 
 
 def _draw_spectrum(panel: Axes, noise: RestNoise, scale: float) -> None:
-    for axis in "yxz":  # the y axis may have a line that the others would hide behind
+    for axis in "yxz":  # the y axis may have a line that would hide the others
         panel.plot(noise.hz, scale * noise.density[:, "xyz".index(axis)], color=_OF_AXES[axis], linewidth=0.8)
     panel.set_ylim(0, None)
     panel.set_xlabel("frequency (Hz)")

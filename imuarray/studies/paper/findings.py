@@ -1,7 +1,7 @@
 """Properties in the paper's tables that the chips' data sheets do not predict, with the likely cause of each.
 
-A fixed list, `findings.toml`: nothing is fitted, simulated or ranked here, so no finding has a probability or a share
-that it closes. `imuarray gap diagnose` gives those for logs; the paper publishes none.
+The findings are a fixed list, `findings.toml`. Nothing is fitted, simulated or ranked here, so no finding has a
+probability or a closed share. `imuarray gap diagnose` reports these for logs; the paper does not publish its logs.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ NEXT_EXPERIMENT = (
 class FindingFigure:
     """A number that shows a finding: `of` is its subject, `printed` its value by the tables, in `unit`.
 
-    `data_sheet` is its value without the cause (a limit, where the data sheet prints one), `with_cause` the prediction
-    with the cause; None where there is none. `channel` is such as "Gyro3 x", "" for several axes.
+    `data_sheet` is its value without the cause (or a limit, if the data sheet prints one), `with_cause` the prediction
+    with the cause; None if it does not exist. `channel` is, for example, "Gyro3 x"; "" for several axes.
     """
 
     of: str
@@ -47,7 +47,7 @@ class FindingFigure:
 class Finding:
     """An anomaly of the published tables, its place in the paper, its likely cause and open questions.
 
-    `effect` is a name of `imuarray.simulate.effects`, "" where none is known; `action`, `sensors`, `axes`, `domain`,
+    `effect` is a name of `imuarray.simulate.effects`, "" if none is known; `action`, `sensors`, `axes`, `domain`,
     `confusable_with` and `parameters` are those of `gap diagnose`.
     """
 

@@ -37,7 +37,7 @@ COLUMNS: Mapping[str, str] = {
         "it is marked"
     ),
 }
-"""The meaning of the columns of the tables."""
+"""The description of each column of the tables."""
 
 TABLE_WORDS: Mapping[int, tuple[str, str]] = {
     1: (
@@ -128,7 +128,7 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
 
 
 def further_words(result: Mapping[str, Any]) -> dict[int, str]:
-    """Descriptions of the recomputation of whole columns, by table."""
+    """Return descriptions of the recomputation of whole columns, by table."""
     slow, fast, runs, windows = result["readings"]
     ratio = result["range_over_deviation"]
     possible, total = ratio["possible"]
@@ -222,7 +222,7 @@ def _texts(number: int) -> dict[Key, str]:
 
 
 def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
-    """Return a value as printed, without its sign where only the size is compared."""
+    """Return a value as printed, without its sign if only its magnitude is compared."""
     text = texts.get(key, "")
     if twin is None:
         return text
@@ -230,7 +230,9 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
 
 
 def _in_digits(twin: Statistic) -> str:
-    """Return a number that is in no table; a quotient of printed ones in as many digits as its uncertainty allows."""
+    """Return the text of a number that is in no table; a quotient of printed numbers has the digits that its
+    uncertainty allows.
+    """
     has_few_digits = _decimals(twin.published) <= _PRINTED_DECIMALS
     return plain(twin.published if has_few_digits else round(twin.published, _places(twin, "")))
 
@@ -265,7 +267,7 @@ def recomputed_text(cell: Cell, printed: str) -> str:
     """Return the recomputed value, as printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after
     any other.
 
-    Without a sign if the printed number is shown without one.
+    The sign is omitted if the printed number is shown without a sign.
     """
     if cell.matches:
         return printed
@@ -386,8 +388,8 @@ def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[Printe
 
 
 def counted(lines: Sequence[PrintedNumber]) -> list[str]:
-    """Return how many statistics were simulated, lie within 1, 2, 3 uncertainties, were recomputed, are equal, near,
-    neither.
+    """Return the numbers of statistics that were simulated, that are within 1, 2 and 3 uncertainties, that were
+    recomputed, and that are equal, near or neither.
     """
     twins = [line.twin for line in lines if line.twin]
     cells = [line.cell for line in lines if line.cell]
@@ -425,7 +427,8 @@ def write_paper_page(
 ) -> None:
     """Write the page; figures are those of `curves`; without them (None) the page states that they are missing.
 
-    OutputExistsError if it is there and not `force`, MissingExtraError without jinja2 (or matplotlib to draw with).
+    OutputExistsError if the file exists and `force` is false; MissingExtraError without jinja2, or with `curves`
+    without matplotlib.
     """
     recomputed, result = recomputed_rows(), recompute()
     lines = list(_summary(replica, result))
@@ -449,8 +452,8 @@ def write_paper_page(
 
 
 _ENOUGH = 0.9
-"""Share of the statistics within two uncertainties from which on a simulation reproduces the paper; a true one has
-95.4 %, and known gaps of the model take some of it.
+"""Minimum share of the statistics within two uncertainties for a simulation that reproduces the paper. A perfect model
+has 95.4 %; known gaps of the model reduce this share.
 """
 
 

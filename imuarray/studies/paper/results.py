@@ -43,7 +43,7 @@ TABLES: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {
     "table10": variation.table10,
     "table11": variation.table11,
 }
-"""The paper's tables, each with what follows for it from the others."""
+"""The paper's tables, each with its recomputation from the others."""
 
 FURTHER: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {"derived": derived, "stated": stated}
 """Further columns of Tables 2, 9 and 11, and figures in the text: a row per number."""
@@ -61,12 +61,12 @@ def recompute() -> dict[str, Any]:
     """Recompute the paper from its published tables.
 
     `table1` ... `table11` hold rows with the CSV files' column names; a recomputed column `x` is followed by the
-    printed one as `printed_x`; it is rounded as that is if they agree. `matches` counts per table and column [equal
-    to the printed digits, all], `within_input_rounding` [explained by the rounding of the printed inputs, all].
-    `derived` and `stated` are further columns and the text's figures, a row each, with the difference, both verdicts
-    and what it follows from. `pairs`, `boot_fault`, `bias_states`, `blending`, `planes`, `logging_rate`, `readings`
-    and `range_over_deviation` are results that have no printed column; `slips` and `conclusions` are lists of {claim,
-    evidence, holds}; `source` is the citation.
+    printed one as `printed_x`, and is rounded to the same digits if both agree. `matches` counts for each table and
+    column [equal to the printed digits, all], `within_input_rounding` [explained by the rounding of the printed inputs,
+    all]. `derived` and `stated` are further columns and the figures of the text, one row each, with the difference,
+    both verdicts and the derivation. `pairs`, `boot_fault`, `bias_states`, `blending`, `planes`, `logging_rate`,
+    `readings` and `range_over_deviation` are results that have no printed column; `slips` and `conclusions` are lists
+    of {claim, evidence, holds}; `source` is the citation.
     """
     tables = recomputed_rows()
     with localcontext(_DIGITS):
@@ -116,7 +116,9 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def render_text(result: dict[str, Any]) -> str:
-    """Matches per table, key numbers, slips and conclusions of a `recompute()` result, lines of at most 100 columns."""
+    """Return the matches by table, key numbers, slips and conclusions of a `recompute()` result, in lines of at most
+    100 columns.
+    """
     parts = (_heading(result), _matches(result), _key_numbers(result), _slips(result), _conclusions(result))
     return "\n".join(line for part in parts for line in (*part, "")).rstrip() + "\n"
 
@@ -225,7 +227,9 @@ def as_json(result: Mapping[str, Any]) -> str:
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV text with the columns of all rows in order of appearance; spaces part the items of a list."""
+    """Return rows as CSV text with the columns of all rows in order of appearance; the items of a list are separated by
+    spaces.
+    """
     columns = list(dict.fromkeys(column for row in rows for column in row))
     text = StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
@@ -240,8 +244,8 @@ def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 def write(result: Mapping[str, Any], directory: Path, *, force: bool) -> tuple[Path, ...]:
     """Write `paper.json`, `table1.csv` ... `table11.csv`, `pairs.csv` and, if `can_draw()`, the figures.
 
-    The directory is made if it is missing. OutputExistsError when a file exists and `force` is false, before anything
-    is written; ImuArrayError, naming the place, when it can't be written.
+    The directory is created if it is missing. OutputExistsError if a file exists and `force` is false, before anything
+    is written; ImuArrayError, which names the place, if a file cannot be written.
     """
     texts = {"paper.json": as_json(result)} | {f"{name}.csv": as_csv(result[name]) for name in (*TABLES, "pairs")}
     try:

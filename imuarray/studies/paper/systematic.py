@@ -6,26 +6,27 @@ the same information independently, by each channel's largest response. For gyro
 
 Table 3 has bias, scale factor and direction of every accelerometer axis, from six faces of a box. Up and down readings
 of a face differ by 2 g along that box axis, so half their difference is the response in counts per g along it; the
-three of them are the axis' sensitivity vector in the box frame. Its norm is the scale factor, its direction the
+three responses are the sensitivity vector of the axis in the box frame. Its norm is the scale factor, its direction the
 sensitive axis. The bias is the mean of the six faces (section 5.2.1, Appendix B). The printed scale factor is that norm
-with the sign of the half-difference along box X, whatever axis the sensor points along; this rule was established by
-trial. The true sign is that of the main axis, given here as an extra column.
+with the sign of the half-difference along box X, regardless of the axis along which the sensor points; this rule was
+determined by trial. The true sign is that of the main axis, which is given here as an extra column.
 
-Table 4's bias, unlike Table 3's, is the mean of all seven readings, the repeated first face counted. Its differences
-are up minus down and its drift first minus last. Here and in the degrees per second of Tables 2 and 9 the sensitivities
-are the typical ones, 0.07 and 0.00875 dps per count (L3G-40, L3G-42).
+The bias of Table 4, unlike that of Table 3, is the mean of all seven readings, including the repeated first face. Its
+differences are up minus down, and its drift is first minus last. Here and in the degrees per second of Tables 2 and 9
+the sensitivities are the typical ones, 0.07 and 0.00875 dps per count (L3G-40, L3G-42).
 
 Appendix B turns the three half-differences of a channel into azimuth, elevation and a scale factor averaged over the
-six faces. It has two slips: the quotient of the azimuth is upside down, and the factor cos(azimuth), which belongs to
-the first of the six terms, stands in the third. The formulas are evaluated as printed and with each slip corrected, to
-count which form reproduces Table 3.
+six faces. It has two slips: the quotient of the azimuth is inverted, and the factor cos(azimuth), which belongs to the
+first of the six terms, is in the third. The formulas are evaluated as printed and with each slip corrected, to
+determine which form reproduces Table 3.
 
-Table 8 tells what is left of the temperature drift when two sensors of one design and range are averaged along a box
-axis. Bringing a reading into the box frame multiplies it by the sign s of its axis there, so the mean of two drifts
-with (s1 k1 + s2 k2) / 2. Parallel axes keep a drift that both share, opposed axes cancel it, and it is the other way
-round for drifts of opposite sign. Directions are those of Table 10's responses for accelerometers and of Table 1 for
-gyroscopes. During the heating +Z was up: an accelerometer axis along box Z carried 1 g, so its slope mixes bias and
-scale-factor drift, and neither can be told from this one orientation (`carries_1g`).
+Table 8 determines the temperature drift that remains when two sensors of one design and range are averaged along a box
+axis. The transformation of a reading to the box frame multiplies it by the sign s of its axis, so the mean of the two
+drifts with (s1 k1 + s2 k2) / 2. A drift with the same sign in both sensors remains for parallel axes and cancels for
+opposed axes; for drifts of opposite sign the reverse is true. Directions are those of Table 10's responses for
+accelerometers and of Table 1 for gyroscopes. During the heating +Z was up: an accelerometer axis along box Z measured 1
+g, so its slope is the sum of bias drift and scale-factor drift, which cannot be separated with a single orientation
+(`carries_1g`).
 """
 
 from __future__ import annotations
@@ -75,18 +76,18 @@ def response_of(channel: str) -> Response:
 
 
 def main_axis(response: Response) -> str:
-    """Return the box axis that a sensitive axis is nearest to, with its sign: "-Y"."""
+    """Return the box axis that is nearest to a sensitive axis, with its sign: "-Y"."""
     size, letter = max(zip(response, "XYZ", strict=True), key=lambda item: abs(item[0]))
     return ("+" if size > 0 else "-") + letter
 
 
 def six_face_bias(readings: Sequence[Decimal]) -> Decimal:
-    """Mean of the six faces, the repeated first face left out, in counts."""
+    """Return the mean of the six faces in counts, without the repeated first face."""
     return mean(readings[:6])
 
 
 def check_drift(readings: Sequence[Decimal]) -> Decimal:
-    """First minus last reading, both with +Z up, in counts."""
+    """Return the first minus the last reading, both with +Z up, in counts."""
     return readings[0] - readings[6]
 
 
@@ -96,7 +97,7 @@ def norm(response: Response) -> Decimal:
 
 
 def printed_scale(readings: Sequence[Decimal]) -> Decimal:
-    """Return the scale factor with the sign that the paper gives it: that of the half-difference along box X."""
+    """Return the scale factor with the sign that the paper assigns to it: that of the half-difference along box X."""
     response = half_differences(readings)
     return norm(response).copy_sign(response[0])
 
@@ -131,7 +132,7 @@ def table3() -> tuple[RecomputedRow, ...]:
 
 
 BoxAxes = Mapping[str, str]
-"""For each sensor axis "x", "y", "z" the box axis that it points along, such as "-Y"."""
+"""For each sensor axis "x", "y", "z", the box axis along which it points, such as "-Y"."""
 
 _COLUMNS = {"X": "box_plus_x", "Y": "box_plus_y", "Z": "box_plus_z"}
 
@@ -148,7 +149,7 @@ def measured_axes(sensor: str) -> dict[str, str]:
 
 
 def determinant(axes: BoxAxes) -> int:
-    """+1 for a right-handed triad, -1 for a mirrored one; the three box axes must differ."""
+    """Return +1 for a right-handed triad, -1 for a mirrored one; the three box axes must differ."""
     order = ["XYZ".index(axes[axis][1]) for axis in "xyz"]
     inversions = sum(order[i] > order[j] for i in range(3) for j in range(i + 1, 3))
     minus_signs = sum(axes[axis][0] == "-" for axis in "xyz")
@@ -156,14 +157,14 @@ def determinant(axes: BoxAxes) -> int:
 
 
 def believed_axes(sensor: str) -> dict[str, str]:
-    """Measured directions for an accelerometer, Table 1's for a gyroscope."""
+    """Return the measured directions for an accelerometer, those of Table 1 for a gyroscope."""
     if design_of(sensor) == "Gyro":
         return printed_axes(next(row for row in table(1) if row["sensor"] == sensor))
     return measured_axes(sensor)
 
 
 def as_text(axes: BoxAxes) -> str:
-    """Directions as a configuration spells them, "+Y+X-Z": the box axes of x, y and z."""
+    """Return the directions in the form of a configuration, "+Y+X-Z": the box axes of x, y and z."""
     return "".join(axes[axis] for axis in "xyz")
 
 
@@ -239,7 +240,7 @@ def table2() -> tuple[RecomputedRow, ...]:
 
 
 def table9() -> tuple[RecomputedRow, ...]:
-    """Table 9 with its dps columns recomputed; `samples` is how many readings its standard errors imply."""
+    """Table 9 with its dps columns recomputed; `samples` is the number of readings that its standard errors imply."""
     return tuple(
         RecomputedRow(
             row,
@@ -255,13 +256,15 @@ _LAST_DIGIT = 0.01
 
 
 def azimuth(readings: Sequence[Decimal], *, quotient_mended: bool) -> float:
-    """Azimuth in radians: arctan(f_x / f_y) as printed, arctan(f_y / f_x) mended (still without a quadrant)."""
+    """Return the azimuth in radians: arctan(f_x / f_y) as printed, arctan(f_y / f_x) corrected (still without a
+    quadrant).
+    """
     along_x, along_y, _ = (float(part) for part in half_differences(readings))
     return atan(along_y / along_x) if quotient_mended else atan(along_x / along_y)
 
 
 def scale_factor(readings: Sequence[Decimal], *, quotient_mended: bool, sum_mended: bool) -> float:
-    """Appendix B's scale factor in counts per g, with either slip mended or left in."""
+    """Return Appendix B's scale factor in counts per g, with each slip corrected or not."""
     along_x, along_y, along_z = (float(part) for part in half_differences(readings))
     turn = azimuth(readings, quotient_mended=quotient_mended)
     lift = atan(2 * along_z / (along_x / cos(turn) + along_y / sin(turn)))
@@ -275,7 +278,7 @@ def scale_factor(readings: Sequence[Decimal], *, quotient_mended: bool, sum_mend
 
 
 def reproduced(*, quotient_mended: bool, sum_mended: bool) -> int:
-    """Return how many of Table 3's scale factors this form gives to within one unit of the last printed digit."""
+    """Return the number of Table 3's scale factors that this form reproduces to one unit of the last digit."""
     count = 0
     for row in table(3):
         readings = numbers_in(row_of(10, row["channel"]), READINGS)
@@ -306,7 +309,7 @@ class AxisPair:
 
     @property
     def carries_1g(self) -> bool:
-        """Return whether gravity lay along the pair while it was heated (accelerometers along box Z)."""
+        """Return whether gravity was along the pair while it was heated (accelerometers along box Z)."""
         return design_of(self.first["channel"]) != "Gyro" and self.axis_first[1] == "Z"
 
     @property
@@ -316,19 +319,19 @@ class AxisPair:
 
     @property
     def fused_slope(self) -> Decimal:
-        """Slope of the mean of the two along the positive box axis, counts per degree Celsius."""
+        """The slope of the mean of the two along the positive box axis, in counts per degree Celsius."""
         first, second = self.slopes
         return (_signed(self.axis_first, first) + _signed(self.axis_second, second)) / 2
 
     @property
     def turned_slope(self) -> Decimal:
-        """The same had the second sensor been mounted the other way round."""
+        """The same slope if the second sensor were mounted in the opposite direction."""
         first, second = self.slopes
         return (_signed(self.axis_first, first) - _signed(self.axis_second, second)) / 2
 
     @property
     def reduction(self) -> Decimal:
-        """Return how many times less the mean drifts than a single sensor does (mean of the two magnitudes)."""
+        """Return the ratio of the drift of a single sensor (mean of the two magnitudes) to the drift of the mean."""
         return mean([abs(slope) for slope in self.slopes]) / abs(self.fused_slope)
 
     def as_json(self) -> dict[str, Any]:
@@ -377,7 +380,7 @@ def pair_of(first: str, second: str) -> AxisPair:
 
 
 def slopes(design: str, range_name: str | None = None, axes: str = "xyz") -> tuple[Decimal, ...]:
-    """Printed slopes of one design in counts per degree Celsius, Table 8's order."""
+    """Return the printed slopes of one design in counts per degree Celsius, in the order of Table 8."""
     return tuple(number_in(row, "slope_lsb_per_degc") for row in channels(8, design, range_name, axes))
 
 

@@ -1,17 +1,16 @@
 """The paper's Tables 1 to 11 as it prints them (`tables/tableNN_*.csv`), read with every digit.
 
-A cell is text until it is read as a number; numbers are `decimal.Decimal`, because 0.1 printed is not 0.1 binary and a
-recomputation is compared in the last printed digit. Units stand in the column names (`_lsb` are raw
-counts).
+A cell is text until it is read as a number; numbers are `decimal.Decimal`, because a printed 0.1 has no exact binary
+form and recomputations are compared in the last printed digit. Units are in the column names (`_lsb` are raw counts).
 
 `Cell` compares a printed number with its recomputation. `matches`: the recomputed value, rounded to the digits printed,
-is the printed one. `within_input_rounding`: the printed value can be reached when each input moves by at most half a
-unit of its own last printed digit (to first order), which is the limit of a recomputation from printed tables. Neither:
-a slip.
+is the printed one. `within_input_rounding`: the printed value can be reached if each input changes by at most half a
+unit of its own last printed digit (to first order), which is the limit of a recomputation from printed tables. If
+neither holds, the cell is a slip.
 
 A recomputed value can fall exactly half-way between two printable ones (six cells of Tables 2 to 9 do). Printed inputs
-can't resolve such a tie, and the paper rounds some up and some down; both neighbours are right, so a tie matches
-either.
+cannot resolve this tie, and the paper rounds some up and some down. Both neighbours are correct, so a tie matches
+either of them.
 """
 
 from __future__ import annotations
@@ -61,11 +60,11 @@ BMA180_LSB_PER_G: dict[str, Decimal] = {
     "8g": Decimal(1024),
     "16g": Decimal(512),
 }
-"""The BMA180's seven ranges, +-range to counts per g (BMA-70 ... BMA-76); it powers up at 2 g."""
+"""The BMA180's seven ranges, range (in both directions) to counts per g (BMA-70 ... BMA-76); it powers up at 2 g."""
 
 FACES_DEGC = (26.23803, 26.45391, 26.47834, 26.42805, 26.49729, 26.49944, 26.68422)
-"""Row "Indep. Temp" of Table 10, which the BMP180 beside the sensors read: means over the faces in the order in which
-they were up, the repeated first one last. The CSV files hold the rows of the sensors only.
+"""Row "Indep. Temp" of Table 10 in degC, measured by the BMP180 next to the sensors: means over the faces in the order
+in which they were up, the repeated first face last. The CSV files contain only the rows of the sensors.
 """
 DEGC: Mapping[tuple[int, str], float] = MappingProxyType(
     {
@@ -106,7 +105,7 @@ def numbers_in(row: Row, columns: Sequence[str]) -> tuple[Decimal, ...]:
 
 
 def design_of(channel: str) -> str:
-    """Return the sensor design that a channel or sensor name stands for: "ADXL", "BMA" or "Gyro"."""
+    """Return the sensor design of a channel or sensor name: "ADXL", "BMA" or "Gyro"."""
     return channel.split()[0].rstrip("0123456789")
 
 
@@ -116,7 +115,7 @@ def is_inertial(row: Row) -> bool:
 
 
 def channels(number: int, design: str, range_name: str | None = None, axes: str = "xyz") -> tuple[Row, ...]:
-    """Return the rows of one design in a table, if wanted of one range and of some axes only."""
+    """Return the rows of one design in a table, optionally of only one range and of some axes."""
     return tuple(
         row
         for row in table(number)
@@ -154,7 +153,7 @@ Formula = Callable[[Sequence[Decimal]], Decimal]
 class Cell:
     """One recomputed cell: the value, what is printed, and whether the inputs explain the difference.
 
-    A value that agrees has the printed digits; one that does not has two more, which show the difference.
+    A value that agrees has the printed digits; any other value has two more digits, which show the difference.
     """
 
     column: str
@@ -190,7 +189,7 @@ class RecomputedRow:
 
 
 def last_unit(value: Decimal) -> Decimal:
-    """Return a unit of the last digit that a number was printed with: 0.001 for 1.230."""
+    """Return one unit of the last printed digit of a number: 0.001 for 1.230."""
     return Decimal(1).scaleb(int(value.as_tuple().exponent))
 
 

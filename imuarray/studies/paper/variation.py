@@ -1,27 +1,28 @@
 """Variation of biases, noise and logging rate: Tables 5 to 7, and columns of Tables 2, 9, 10 and 11.
 
-Biases (Tables 5 and 11) wander within a run and from one switch-on to the next. Table 5 averages Table 11's in-run
-column over groups of axes. Table 11's ratio is run-to-run over in-run; for BMA1 and Gyro3 its run-to-run columns follow
-from the single runs of Tables 6 and 7. A sample of n numbers that spread over a range R can't have any standard
-deviation: it lies between R sqrt(1 / (2 (n - 1))) (all but two in the middle) and R sqrt(floor(n/2) ceil(n/2) / (n (n -
-1))) (half at either end). Table 11 prints both columns, so each can be checked against the other.
+Biases (Tables 5 and 11) vary within a run and from one switch-on to the next. Table 5 averages Table 11's in-run column
+over groups of axes. Table 11's ratio is run-to-run over in-run; for BMA1 and Gyro3 its run-to-run columns follow from
+the single runs of Tables 6 and 7. The range R of a sample of n numbers limits its standard deviation: it lies between R
+sqrt(1 / (2 (n - 1))) (all but two in the middle) and R sqrt(floor(n/2) ceil(n/2) / (n (n - 1))) (half at either end).
+Table 11 prints both columns, so each can be checked against the other.
 
-A boot fault (Table 6) is a run in the wrong range. The channel that carries gravity is the one with the largest median
-over the runs. Each run's reading over that median, times the configured sensitivity, is the sensitivity that the run
-appears to have had; the nearest of the chip's ranges (nearest in ratio) is the range it was really in. A run is faulty
-when that is not the configured range, so the threshold follows from the chip's own range table.
+A boot fault (Table 6) is a run in the wrong range. The channel along gravity is the one with the largest median over
+the runs. Each run's reading divided by that median, times the configured sensitivity, is the apparent sensitivity of
+the run; the chip's range with the nearest sensitivity (nearest in ratio) is the actual range. A run is faulty if this
+is not the configured range, so the threshold follows from the chip's own range table.
 
-Two bias states (Table 7) are separated with the three axes together: runs are sorted along the principal axis of their
-scatter and cut at the place that leaves the least scatter within the two parts, over all three axes.
+Two bias states (Table 7) are separated using all three axes: runs are sorted along the principal axis of their scatter
+and divided so that the scatter within the two parts, over all three axes, is smallest.
 
-Blending of two ranges (Table 10): two readings of one quantity with independent noise s_low and s_high are best
-averaged with weights proportional to 1 / s^2; the mean then has 1 / s^2 = 1 / s_low^2 + 1 / s_high^2. The plain average
-has sqrt(s_low^2 + s_high^2) / 2. In-plane and out-of-plane axes are compared by columns of Tables 8, 10 and 11.
+Blending of two ranges (Table 10): the best weights for the average of two readings of one quantity with independent
+noise s_low and s_high are proportional to 1 / s^2; the noise s of the mean is then given by 1 / s^2 = 1 / s_low^2 + 1 /
+s_high^2. The noise of the plain average is sqrt(s_low^2 + s_high^2) / 2. In-plane and out-of-plane axes are compared by
+columns of Tables 8, 10 and 11.
 
 The logging rate follows from a standard deviation and the standard error of the mean: the number of samples is n = (std
-/ sem)^2, and over a known duration that is a rate. All channels of one log were read equally often, so one number has
-to explain a whole column of standard errors of Tables 2, 9 and 11: `admitted` says which numbers do, whatever the
-rounding, and the middle one recomputes the column. Table 2 repeats Table 9.
+/ sem)^2, which divided by a known duration is a rate. All channels of one log were read equally often, so a single
+number must explain a whole column of standard errors of Tables 2, 9 and 11. `admitted` returns the numbers that are
+possible within the rounding; the column is recomputed with the middle one. Table 2 repeats Table 9.
 """
 
 from __future__ import annotations
@@ -54,8 +55,9 @@ from imuarray.studies.paper.tables import (
 _SOURCES = {"BMA1": 6, "Gyro3": 7}
 _RUNS = 15
 _NORMAL_RANGE = 3.534
-"""Mean of range over sample standard deviation of fifteen normal numbers: 3.4718 (the mean range, Tippett 1925) over
-0.98232 (the mean deviation); the ratio is independent of the deviation (Basu), so its mean is that quotient.
+"""Mean ratio of range to sample standard deviation of fifteen normal numbers: 3.4718 (the mean range, Tippett 1925)
+divided by 0.98232 (the mean deviation). The ratio is independent of the deviation (Basu), so its mean is the quotient
+of the means.
 """
 
 
@@ -92,14 +94,14 @@ def table11() -> tuple[RecomputedRow, ...]:
 
 
 def unexplained_cells() -> tuple[tuple[str, Cell], ...]:
-    """Return (channel, cell) of every cell of Table 11 that not even the rounding of its inputs explains."""
+    """Return (channel, cell) of every cell of Table 11 that is not explained even by the rounding of its inputs."""
     return tuple(
         (row.row["channel"], cell) for row in table11() for cell in row.cells if not cell.within_input_rounding
     )
 
 
 def group_members(group: str) -> tuple[Row, ...]:
-    """Return the rows of Table 11 that a group of Table 5, such as "BMA (1.5g) X&Y", stands for."""
+    """Return the rows of Table 11 that belong to a group of Table 5, such as "BMA (1.5g) X&Y"."""
     *kind, axes = group.split()
     range_name = kind[1].strip("()") if len(kind) > 1 else None
     return tuple(
@@ -127,8 +129,8 @@ def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
 
 
 def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
-    """Return (channel, column, printed standard deviation, bound passed) of Table 11 where its range column
-    forbids it.
+    """Return (channel, column, printed standard deviation, violated bound) of every standard deviation of Table 11 that
+    is impossible for the printed range.
     """
     result = []
     for row in table(11):
@@ -146,8 +148,8 @@ def range_over_deviation() -> dict[str, Any]:
     """Return the ratios of the ranges of fifteen means to their standard deviations in Table 11, and the possible
     interval.
 
-    `rows` hold a channel's two series; `mean` is over the inertial ones, `normal` is the mean ratio of fifteen normal
-    numbers.
+    `rows` contain the two series of each channel; `mean` is over the inertial channels, `normal` is the mean ratio of
+    fifteen normal numbers.
     """
     least, most = (1 / bound for bound in reversed(deviation_bounds(1.0, _RUNS)))
     forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}
@@ -181,18 +183,18 @@ Point = tuple[float, ...]
 
 @dataclass(frozen=True)
 class WrongRangeRun:
-    """A run whose gravity reading belongs to another range than the configured one."""
+    """A run in which the reading of gravity belongs to a range other than the configured one."""
 
     run: int
     column: str
     reading_lsb: Decimal
     ratio: Decimal
-    """The reading over the median of all runs."""
+    """The reading divided by the median of all runs."""
     range_g: str
     range_lsb_per_g: Decimal
 
     def as_json(self) -> dict[str, Any]:
-        """Return the fault with the exact ratio of the range that it was in."""
+        """Return the fault with the exact ratio of its actual range."""
         return {
             "sensor": "BMA1",
             "run": self.run,
@@ -207,7 +209,7 @@ class WrongRangeRun:
 
 
 def gravity_column(rows: Sequence[Row]) -> str:
-    """Return the column with the largest median: the axis that carries 1 g."""
+    """Return the column with the largest median: the axis that measures 1 g."""
     return max(_AXES, key=lambda column: abs(median(number_in(row, column) for row in rows)))
 
 
@@ -286,7 +288,7 @@ def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, 
 
 
 def bias_states() -> tuple[TurnOnState, TurnOnState]:
-    """Return the two bias states of Table 7 (Gyro3), the one of the first run first."""
+    """Return the two bias states of Table 7 (Gyro3), beginning with that of the first run."""
     points = [tuple(float(row[column]) for column in _AXES) for row in table(7)]
     first, second = sorted(two_way_split(points))
     return _state(first, points), _state(second, points)
@@ -325,40 +327,40 @@ def _dot(first: Sequence[float], second: Sequence[float]) -> float:
 
 
 FACE_SECONDS = 900
-"""Each face of the six-position experiment was logged for 15 minutes (section 4)."""
+"""Duration of the log of each face in the six-position experiment, in s: 15 minutes (section 4)."""
 SAMPLE_SECONDS = 300
-"""Each sample of the turn-on experiment lasted five minutes (section 4)."""
+"""Duration of each sample of the turn-on experiment, in s: five minutes (section 4)."""
 HIGH_RATE_HZ = 350
-"""The rate of the single-sensor experiments (section 5.1)."""
+"""The rate of the single-sensor experiments in Hz (section 5.1)."""
 TRIADS = 12
-"""The factor by which logging the whole array was slower (section 4)."""
+"""The factor by which the logging of the whole array was slower than that of one sensor (section 4)."""
 
 
 @dataclass(frozen=True)
 class RangeNoise:
-    """Noise of a low-range and a high-range sensor, and of their combinations, in mg."""
+    """The noise of a low-range and a high-range sensor, and of their combinations, in mg."""
 
     low_mg: Decimal
     high_mg: Decimal
 
     @property
     def weight_low(self) -> Decimal:
-        """The low range's inverse-variance weight; the high range has the rest."""
+        """The inverse-variance weight of the low range; the weights of both ranges add up to 1."""
         low, high = 1 / self.low_mg**2, 1 / self.high_mg**2
         return low / (low + high)
 
     @property
     def plain_mg(self) -> Decimal:
-        """Noise of the plain average."""
+        """The noise of the plain average."""
         return self.noise_mg(Decimal("0.5"))
 
     @property
     def weighted_mg(self) -> Decimal:
-        """Noise with the inverse-variance weights, the least that any weights give."""
+        """The noise with the inverse-variance weights, the smallest that any weights give."""
         return self.noise_mg(self.weight_low)
 
     def noise_mg(self, weight_low: Decimal) -> Decimal:
-        """Noise of the weighted mean with any weight of the low range."""
+        """Return the noise of the weighted mean for this weight of the low range."""
         return ((weight_low * self.low_mg) ** 2 + ((1 - weight_low) * self.high_mg) ** 2).sqrt()
 
     def as_json(self) -> dict[str, Any]:
@@ -379,7 +381,9 @@ class RangeNoise:
 
 
 def bma180_blend() -> RangeNoise:
-    """Return the BMA180's noise per range, each the mean of Table 10's six channels with the typical sensitivity."""
+    """Return the noise of the BMA180 at both ranges, each the mean of six channels of Table 10 at the typical
+    sensitivity.
+    """
     low, high = (
         mean([milli_g(row, number_in(row, "std_lsb")) for row in channels(10, "BMA", name)]) for name in ("1.5g", "16g")
     )
@@ -484,17 +488,17 @@ class ReadingCount:
     least: Decimal
     most: Decimal
     rate_hz: Decimal | None
-    """Return the rate by the middle number, if the paper states the duration (Table 11)."""
+    """The rate that follows from the middle number, if the paper states the duration (Table 11)."""
     seconds: Decimal | None
-    """Return the duration by the middle number, if the paper states the rate (Table 9)."""
+    """The duration that follows from the middle number, if the paper states the rate (Table 9)."""
 
     @property
     def middle(self) -> Decimal:
-        """Half-way between the ends."""
+        """The middle of the interval."""
         return (self.least + self.most) / 2
 
     def as_json(self) -> dict[str, Any]:
-        """Return the readings, with `agree` for a column that one number explains."""
+        """Return the readings; `agree` is true if a single number explains the column."""
         return {
             "table": f"Table {self.table}",
             "log": self.log,
@@ -508,8 +512,8 @@ class ReadingCount:
 
 
 def admitted(deviation: Decimal, standard_error: Decimal) -> tuple[Decimal, Decimal]:
-    """Return the numbers of readings, least and most, for which both could be printed as they are; the error is
-    not 0.
+    """Return the smallest and largest number of readings for which both values could be printed as they are; the
+    standard error must not be 0.
     """
     wide, narrow = half_unit(deviation), half_unit(standard_error)
     least, most = (deviation - wide) / (standard_error + narrow), (deviation + wide) / (standard_error - narrow)
@@ -524,7 +528,7 @@ def table9_rows(range_name: str) -> tuple[Row, ...]:
 
 def readings() -> tuple[ReadingCount, ...]:
     """Return the numbers of readings that Table 9's two logs (at 350 Hz) and Table 11's two series (five minutes each)
-    admit: those that all channels of a log admit; the least is above the most if there is none.
+    admit: those that all channels of a log admit. If there is no such number, the smallest is above the largest.
     """
     result = []
     for name in ("250dps", "2k dps"):

@@ -1,12 +1,12 @@
 """The simulated experiments as the paper's tables, and every printed statistic compared with its simulated counterpart.
 
-Tables 3, 4 and 10: the model has the mean and the half-differences of the six faces of Table 10. The uncertainty of a
-face is the disagreement between opposite faces plus, in the simulation, turn-on bias (common to all faces), in-run
-wander and white noise. The repeated face was not fitted: it has the variance of a face and that of the fit.
+Tables 3, 4 and 10: the model contains the mean and the half-differences of the six faces of Table 10. The uncertainty
+of a face is the disagreement between opposite faces plus, in the simulation, turn-on bias (common to all faces), in-run
+wander and white noise. The repeated face was not fitted: its variance is the sum of that of a face and that of the fit.
 
-Tables 5, 6, 7 and 11: a level on another day than Table 10's has the day-to-day variance twice, of that day and of this
-one. A standard deviation of fifteen means has its own sampling error. It counts once where the model was fitted to the
-printed value, twice where nothing was fitted (the model has 0).
+Tables 5, 6, 7 and 11: the uncertainty of a level on a day other than that of Table 10 contains the day-to-day variance
+twice, once for each of the two days. A standard deviation of fifteen means has a sampling error. It counts once if the
+model was fitted to the printed value, and twice if it was not fitted (the model has 0).
 
 Text and figures: "around" and "about" mean within one unit of the last digit, evenly distributed: a standard deviation
 of 1 / sqrt(3) units. A wrong yes or no (codes all even, a spectral line or none) counts as three uncertainties.
@@ -173,7 +173,9 @@ def _per_channel(
 
 
 def accelerometer(row: Columns) -> Columns:
-    """Return Table 3's columns from a row of Table 10; the scale factor without the sign that the paper gives it."""
+    """Return Table 3's columns from a row of Table 10; the scale factor is without the sign that the paper assigns to
+    it.
+    """
     faces = np.array([row[face] for face in READINGS])
     return {
         "drift_lsb": float(faces[0] - faces[6]),
@@ -216,8 +218,8 @@ def period(counts: npt.NDArray[np.int16], axis: int) -> int:
 
 
 def line_hz(counts: npt.NDArray[np.int16], axis: int) -> float:
-    """Return the frequency of the line between 40 and 60 Hz in an axis' spectrum (Figure 14), nan if nothing there is
-    ten times the median.
+    """Return the frequency of the line between 40 and 60 Hz in an axis' spectrum (Figure 14), nan if no density there
+    exceeds ten times the median.
     """
     hz, power = signal.welch(counts[:, axis].astype(float), HIGH_RATE_HZ, nperseg=2048)
     near = (hz >= _AROUND_HZ[0]) & (hz <= _AROUND_HZ[1])
@@ -239,7 +241,9 @@ def compare_faces(ten: Table) -> Iterator[Statistic]:
 
 
 def compare_accelerometers(three: Table) -> Iterator[Statistic]:
-    """Table 3, without the bias once more in mg; scale factors without the sign, an artefact of the paper's."""
+    """Table 3, without the bias once more in mg; scale factors are without their sign, which is an artefact of the
+    paper's formula.
+    """
     for row in table(3):
         channel = row["channel"]
         wander, sem = _wander(channel), printed(10, channel, "sem_lsb")
@@ -285,7 +289,7 @@ def _face(channel: str, face: str, simulated: float) -> Statistic:
 def _bias(name: str, channel: str, published: float, simulated: float) -> Statistic:
     sem = printed(10, channel, "sem_lsb") / sqrt(6)
     parts = {"turn-on": own(channel, lambda unit: unit.turn_on), "in-run": _wander(channel) / sqrt(6), "sem": sem}
-    if name == "Table 4":  # the repeated face is in its mean
+    if name == "Table 4":  # its mean includes the repeated face
         parts["face repeatability"] = face_residual(channel) * sqrt(5) / 7
     return linear((name, channel, "bias_lsb"), published, simulated, parts, derived=True, fitted=True)
 
@@ -305,7 +309,7 @@ def _wander(channel: str) -> float:
 
 
 _RESET_RATIO = 8.0
-"""Return counts per g at 2 g over those at 16 g."""
+"""Counts per g at 2 g divided by those at 16 g."""
 
 
 def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
@@ -357,7 +361,7 @@ def compare_runs(number: int, name: str, simulated: Table) -> Iterator[Statistic
 
 def deviation_spread(channel: str, half: str) -> float:
     """Return the standard deviation of ln(simulated / published) for a deviation of fifteen means of Table 11."""
-    if axis_of(channel) == 3:  # each chip follows the room in its own way
+    if axis_of(channel) == 3:  # each chip follows the room temperature differently
         return between_units(channel, f"{half}_std_of_means")
     if half == "cont":
         spread = log_deviation(part_windows(channel), part_steps(channel))
@@ -367,9 +371,10 @@ def deviation_spread(channel: str, half: str) -> float:
 
 
 def _step_of_fault(channel: str) -> float:
-    """Return the relative uncertainty of the faulty run's distance from the others; 0 where there is none.
+    """Return the relative uncertainty of the distance of the faulty run from the others; 0 for a sensor without a
+    faulty run.
 
-    It is seven times the change of a day, and eight times that of a run.
+    This distance scatters by seven times the day-to-day change and by eight times the run-to-run change.
     """
     if not channel.startswith("BMA1"):
         return 0.0
@@ -385,7 +390,7 @@ def _is_fitted(channel: str, half: str) -> bool:
 
 
 def _is_derived(channel: str, half: str) -> bool:
-    """Return whether Table 6 or 7 prints the runs one by one."""
+    """Return whether Table 6 or 7 prints the individual runs."""
     return half == "runs" and channel.split()[0] in ("BMA1", "Gyro3")
 
 
@@ -423,19 +428,21 @@ def _one_run(place: tuple[str, str, str], published: float, simulated: float, ra
 
 
 DPS_AT_250 = 0.00875
-"""One count at 250 dps (L3G-40)."""
+"""Angular rate of one count at 250 dps, in dps (L3G-40)."""
 
 _AROUND = 1 / sqrt(3)
 _HALF_A_DIGIT = 0.5 / sqrt(3)
 _FAST_NOISE = sqrt(110 / 35 * 1.4 / 0.6)
-"""Return the mean's noise at 110 Hz over that of as many independent readings at 35 Hz: neighbours correlate by 0.4."""
+"""Noise of the mean at 110 Hz divided by that of the same number of independent readings at 35 Hz; neighbouring
+readings correlate by 0.4.
+"""
 _A3_STDS = {"x": 8.0201, "y": 9.8857, "z": 9.3002}
-"""Appendix A.3: LSB of a BMA180 at 16 g, which one isn't said."""
+"""Appendix A.3: standard deviations in LSB of a BMA180 at 16 g; the paper does not state which unit."""
 
 
 class _HeatingSpread(NamedTuple):
-    """The heating: mean temperature; deviation of a fitted slope from unit white noise and from a unit in-run wander,
-    per degC; that of the mean from a unit wander.
+    """The heating: mean temperature; standard deviation of a fitted slope, per degC, caused by unit white noise and by
+    a unit in-run wander; standard deviation of the mean caused by a unit wander.
     """
 
     degc: float
@@ -470,7 +477,7 @@ def _intercept(heated: _HeatingSpread, channel: str, published: float, simulated
 
 
 def _tilts(heated: _HeatingSpread, channel: str) -> dict[str, float]:
-    """Return the error of the simulated slope; the model has the printed one."""
+    """Return the error of the simulated slope by cause; the model has the printed slope."""
     return {
         "in-run": heated.of_wander * own(channel, lambda unit: unit.in_run),
         "sem": heated.of_noise * own(channel, lambda unit: unit.noise),
@@ -505,7 +512,7 @@ def compare_gyro_noise(number: int, simulated: Table) -> Iterator[Statistic]:
 def _nine(number: int, channel: str, name: str, column: str, published: float, simulated: float) -> Statistic:
     place = (f"Table {number}", f"{channel} {name}", column)
     if column != "mean_lsb":
-        noise_sd = noise_residual(channel) * sqrt(2)  # of a fourth experiment against the mean of three
+        noise_sd = noise_residual(channel) * sqrt(2)  # a fourth experiment compared with the mean of three
         filter_sd = 0.0 if channel.endswith("t") else _between_filters()
         own_parts = {"between experiments": noise_sd, "filters": filter_sd}
         return logarithmic(place, published, simulated, own_parts, derived=column == "sem_lsb")
@@ -517,7 +524,7 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
         "sem": own(channel, lambda unit: unit.noise) * _FAST_NOISE / sqrt(HIGH_RATE_HZ * high_rate_s(name)),
     }
     if name == "250dps":
-        coarser = unit_of("Gyro1").lsb / DPS_AT_250  # counts are that much smaller
+        coarser = unit_of("Gyro1").lsb / DPS_AT_250  # ratio of the sizes of a count
         parts = {part: size * coarser for part, size in boot.items()}
         return linear(place, published, simulated, parts, fitted=True)
     days, share = level_parts(channel)
@@ -528,7 +535,7 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
 
 def _between_filters() -> float:
     """Return the standard deviation over the axes of ln(noise at 110 Hz over that in the array runs), Tables 9 (2000
-    dps), 10, 11. The model has the root of the ratio of the bandwidths for all of them.
+    dps), 10, 11. The model uses the root of the ratio of the bandwidths for all axes.
     """
     rows = [row for row in table(9) if row["range"] == "2k dps"]
     noise = [own(row["output"], lambda unit: unit.noise) for row in rows]
@@ -570,7 +577,7 @@ def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[S
 
 
 def _reset(six: Table) -> Statistic:
-    """Return the factor by which gravity reads larger in the faulty run."""
+    """Return the factor by which the reading of gravity is larger in the faulty run."""
     (fault,) = boot_faults()
     mean_of_others = np.mean([row["z_lsb"] for run, row in six.items() if int(run) != fault.run])
     printed_others = np.mean([float(number_in(row, "z_lsb")) for row in table(6) if int(row["run"]) != fault.run])

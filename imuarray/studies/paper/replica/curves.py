@@ -40,7 +40,8 @@ class Scatter(NamedTuple):
 
 class RestNoise(NamedTuple):
     """One sensor at rest: counts (n, 3) and readings per second; autocorrelation (31, 3) at lags 0 to 30; amplitude
-    density (k, 3) in LSB/sqrt(Hz) at Hz (k,); codes (m,) of x from the least to the most and how often each was read.
+    density (k, 3) in LSB/sqrt(Hz) at Hz (k,); codes (m,) of x from the lowest to the highest, and the number of
+    readings of each.
     """
 
     counts: npt.NDArray[np.int16]
@@ -86,7 +87,7 @@ def rate_hz(series: Series) -> float:
 
 
 def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> TimeCurve:
-    """Return the moving average less the total mean, every `step_s`, at the middle of the window (Figure 6)."""
+    """Return the moving average minus the total mean, every `step_s`, at the middle of the window (Figure 6)."""
     rows, step = (max(1, round(seconds * rate_hz(series))) for seconds in (window_s, step_s))
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(series.counts, axis=0, dtype=float)])
     starts = np.arange(0, len(sums) - rows, step)
@@ -104,7 +105,7 @@ def profile(step_s: float = _STEP_S) -> TimeCurve:
 
 
 _SCATTER_S = 4.0
-"""Time between the readings of Figures 8 and 9."""
+"""Time in s between the readings of Figures 8 and 9."""
 _HALF_MINUTE_S = 30.0
 
 
@@ -145,7 +146,7 @@ def spectrum(counts: npt.NDArray[np.int16], rate: float) -> tuple[Floats, Floats
 
 
 def histogram(counts: npt.NDArray[np.int16]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return codes (k,) from the least to the greatest, and how often each was read (Figure 15)."""
+    """Return codes (k,) from the lowest to the highest, and the number of readings of each (Figure 15)."""
     lowest = int(counts.min())
     often = np.bincount(counts.astype(np.int64) - lowest)
     return np.arange(lowest, lowest + len(often)), often

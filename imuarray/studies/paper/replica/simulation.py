@@ -1,11 +1,11 @@
 """The paper's experiments on the simulated array: statistics of every sensor's readings, window by window; rows are not
 stored.
 
-The stimulus is as printed: Table 10's face temperatures, Table 11's mean temperatures and their deviations (a straight
-drift within the continuous run; from run to run as BMA1's own thermometer in Table 6), the profile of the heating, and
-the logging rates that follow from standard deviation over standard error. So are the states in which Gyro3 and BMA1
-started (Tables 6, 7, 10, 11): each experiment takes the first unused switch-on in that state; the number of such
-switch-ons among the first `BOOTS` is a statistic of its own.
+The stimulus is as printed: Table 10's face temperatures, Table 11's mean temperatures and their deviations (a linear
+drift within the continuous run; from run to run the shape of BMA1's own thermometer in Table 6), the profile of the
+heating, and the logging rates that follow from standard deviation and standard error. The states in which Gyro3 and
+BMA1 started are also as printed (Tables 6, 7, 10, 11): each experiment uses the first unused switch-on in the required
+state. The number of switch-ons in each state among the first `BOOTS` is a separate statistic.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Series(NamedTuple):
 
 
 class StoredSensor:
-    """A sensor that stores its readings: a figure needs no second simulation."""
+    """A sensor that stores its readings, so that a figure needs no second simulation."""
 
     def __init__(self, sensor: Triad) -> None:
         self.rows = sensor.rows
@@ -97,7 +97,7 @@ def blocks(sensor: Triad) -> Iterator[Block]:
 
 
 def windows(sensor: Triad, spans: Spans) -> list[Window]:
-    """Return the readings of a sensor from the first to before the second nanosecond of each span."""
+    """Return the window of a sensor's readings in each span (from, until) in ns; the end is excluded."""
     sums = np.zeros((3, len(spans), 4))
     centre: Floats | None = None
     for block in blocks(sensor):
@@ -139,7 +139,7 @@ _PEEK_S = 4.0
 
 
 class HighRate(NamedTuple):
-    """Return Gyro1: the whole stretch as a window, and its counts (n, 3)."""
+    """The high-rate experiment of Gyro1: the whole stretch as a window, and its counts (n, 3)."""
 
     window: Window
     counts: npt.NDArray[np.int16]
@@ -148,9 +148,9 @@ class HighRate(NamedTuple):
 @dataclass(frozen=True)
 class ExperimentData:
     """All simulated data, by sensor: `faces` seven windows in Table 10's order, `parts` and `runs` fifteen, `heated`
-    the straight-line fits, `high_rate` by range as Table 9 prints it; `even` the share of even counts; how many of
-    `BOOTS` switch-ons BMA1 came up faulty in and Gyro3 in its second state. For figures: every reading of the
-    continuous run (`still`) and of the sensors `WARMED` while heated (`warm`).
+    the straight-line fits, `high_rate` by range as Table 9 prints it; `even` the share of even counts; the numbers of
+    switch-ons among `BOOTS` after which BMA1 was faulty and Gyro3 was in its second state. For figures: every reading
+    of the continuous run (`still`) and of the sensors `WARMED` while heated (`warm`).
     """
 
     faces: Mapping[str, Sequence[Window]]
@@ -191,7 +191,7 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
 
 @lru_cache(maxsize=1024)
 def state(seed: int, boot: int) -> State:
-    """Return the state of a sensor by a few seconds after switching on."""
+    """Return the states of the two odd sensors, determined from a few seconds after switch-on."""
     short = _simulation(seed, boot, Still(seconds=_PEEK_S), 50.0, ("BMA1", "Gyro3"))
     means = {name: sensor.block(0, sensor.rows).counts.mean(axis=0) for name, sensor in short}
     first, second = (np.array(bias_state.centre) for bias_state in bias_states())
@@ -200,8 +200,8 @@ def state(seed: int, boot: int) -> State:
 
 
 def run_temperatures() -> Floats:
-    """Return (15,) degC: BMA1's thermometer (two codes per degC, Table 6; its faulty run left out) stretched to Table
-    11's mean and deviation of the independent one.
+    """Return the temperatures (15,) of the runs in degC: BMA1's thermometer (Table 6; its faulty run is interpolated),
+    scaled to the mean and standard deviation of the independent thermometer in Table 11.
     """
     codes = np.array([float(number_in(row, "temp_int")) for row in table(6)])
     for fault in boot_faults():
@@ -211,8 +211,8 @@ def run_temperatures() -> Floats:
 
 
 def high_rate_s(range_name: str) -> float:
-    """Return how long a high-rate experiment was, by Table 9's (std / sem)^2 readings at 350 Hz: 1379 s at 250 dps, but
-    987 s at 2000 dps, which the text calls about 1400 s too.
+    """Return the duration in s of a high-rate experiment, from Table 9's (std / sem)^2 readings at 350 Hz: 1379 s at
+    250 dps, but 987 s at 2000 dps, although the text states about 1400 s for both.
     """
     rows = [row for row in table(9) if row["range"] == range_name]
     counts = [(float(number_in(row, "std_lsb")) / float(number_in(row, "sem_lsb"))) ** 2 for row in rows]
@@ -251,7 +251,7 @@ def _array() -> ArrayConfig:
 def _simulation(
     seed: int, boot: int, motion: Motion, rate_hz: float, names: tuple[str, ...] = SENSORS
 ) -> Iterator[tuple[str, Triad]]:
-    """Yield the sensors one after the other; what one keeps for its rows goes with it."""
+    """Yield the sensors one after the other; the memory of a sensor's rows is released with it."""
     sensors = Simulation.of_array(
         _array().only(names), motion, _model(), frame_rate_hz=rate_hz, seed=seed, boot=boot
     ).sensors
@@ -271,7 +271,9 @@ def _faces(seed: int, boot: int) -> dict[str, list[Window]]:
 
 
 def _parts(seed: int, boot: int) -> tuple[dict[str, list[Window]], dict[str, Series]]:
-    """Fifteen windows in a row; a straight drift by d a window has a deviation of d sqrt(15 16 / 12)."""
+    """Return fifteen consecutive windows, and the stored readings. A linear drift by d per window has a standard
+    deviation of d sqrt(15 16 / 12).
+    """
     drift = DEGC[11, "cont_std_of_means"] / np.sqrt(PARTS * (PARTS + 1) / 12)
     start = DEGC[11, "cont_mean"] - drift * PARTS / 2
     motion = Still("+Z", PARTS * WINDOW_S, float(start), drift_degc_per_h=float(drift) * 3600 / WINDOW_S)

@@ -1,8 +1,8 @@
 """A printed statistic with its simulated counterpart, summaries of many of them, and the text that is printed.
 
-The uncertainty of a comparison is the disagreement of the paper's own tables where they state the same thing twice, in
-counts, or as natural logarithms of standard deviations. Channels are pooled in groups that ought to be alike:
-one design at one range, x and y together and z apart; a design's thermometers together.
+The uncertainty of a comparison is the disagreement between the paper's own tables where they state the same quantity
+twice, in counts, or for standard deviations in natural logarithms. Channels that should be alike are pooled in groups:
+one design at one range, x and y together and z separately; the thermometers of a design together.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def slope(channel: str) -> float:
 
 @cache
 def group_of(channel: str) -> tuple[str, ...]:
-    """Return the channels of Table 10 that ought to be like this one."""
+    """Return the channels of Table 10 that should be like this one."""
     return tuple(row["channel"] for row in table(10) if _kind(row["channel"]) == _kind(channel))
 
 
@@ -73,7 +73,7 @@ def _kind(channel: str) -> tuple[str, str, str]:
 
 def levels(channel: str) -> Floats:
     """Return the levels that a channel read with +Z up, at 25 degC, usual range and first state, on the days of Tables
-    10, 11 (runs), 11 (continuous) and, but for thermometers, 8.
+    10, 11 (runs), 11 (continuous) and, except for thermometers, 8.
     """
     k = slope(channel)
     name, axis = channel.split()[0], axis_of(channel)
@@ -91,15 +91,15 @@ def levels(channel: str) -> Floats:
 
 @cache
 def day_to_day(channel: str) -> float:
-    """Standard deviation of a level from one experiment to another."""
+    """Return the standard deviation of a level from one experiment to another."""
     return sqrt(np.mean([levels(member).var(ddof=1) for member in group_of(channel)]))
 
 
 @cache
 def face_residual(channel: str) -> float:
-    """Root mean square by which a pair of opposite faces disagrees with the mean of the three pairs.
+    """Return the root mean square deviation of a pair of opposite faces from the mean of the three pairs.
 
-    The model has four figures for six faces; each face is left with a third of its own variance.
+    The model has four parameters for six faces, so the residual of each face has a third of its variance.
     """
     squares = []
     for member in group_of(channel):
@@ -115,7 +115,9 @@ def face_residual(channel: str) -> float:
 
 @cache
 def noise_residual(channel: str) -> float:
-    """Root mean square of ln(standard deviation over its quadratic mean) in Tables 10 and 11 (three experiments)."""
+    """Return the root mean square of ln(standard deviation / its quadratic mean) in Tables 10 and 11 (three
+    experiments).
+    """
     squares = []
     for member in group_of(channel):
         variances = np.array([printed(number, member, column) ** 2 for number, column in STDS])
@@ -125,13 +127,16 @@ def noise_residual(channel: str) -> float:
 
 @cache
 def thermometer_residual(channel: str) -> float:
-    """Root mean square by which a thermometer's mean in three experiments strays from a constant offset, codes."""
+    """Return the root mean square deviation, in codes, of a thermometer's means in three experiments from a constant
+    offset.
+    """
     return sqrt(np.mean([levels(member).var() for member in group_of(channel)]))
 
 
 def log_deviation(windows: Floats, extra: float) -> float:
-    """Standard deviation of ln s, s that of numbers with covariance `windows` (n, n) about steady differences whose
-    variance is `extra`: half the relative spread of a quadratic form in normal numbers.
+    """Return the standard deviation of ln s. s is the sample standard deviation of numbers with covariance `windows`
+    (n, n) plus fixed differences of variance `extra`; the result is half the relative spread of a quadratic form in
+    normal numbers.
     """
     count = len(windows)
     middle = windows - windows.mean(axis=0)
@@ -142,7 +147,7 @@ def log_deviation(windows: Floats, extra: float) -> float:
 
 @cache
 def run_windows(channel: str) -> Floats:
-    """Return (15, 15) covariance of the means of separate runs that the model gives."""
+    """Return (15, 15) the covariance of the means of separate runs according to the model."""
     turn_on, in_run = own(channel, lambda unit: unit.turn_on), own(channel, lambda unit: unit.in_run)
     sem = printed(11, channel, "runs_sem")
     return np.asarray(np.eye(PARTS) * (turn_on**2 + in_run**2 * variance_of_mean(WINDOW_S) + sem**2))
@@ -150,7 +155,7 @@ def run_windows(channel: str) -> Floats:
 
 @cache
 def part_windows(channel: str) -> Floats:
-    """Return (15, 15) covariance of the means of windows in a row that the model gives."""
+    """Return (15, 15) the covariance of the means of consecutive windows according to the model."""
     distance = np.abs(np.subtract.outer(np.arange(PARTS), np.arange(PARTS)))
     of_wander = np.array([variance_of_mean(WINDOW_S), *(covariance_of_means(k, WINDOW_S) for k in range(1, PARTS))])
     sem = printed(11, channel, "cont_sem")
@@ -158,7 +163,9 @@ def part_windows(channel: str) -> Floats:
 
 
 def run_steps(channel: str) -> float:
-    """Variance of the runs' means that is the same in every series: states, the faulty run, temperature."""
+    """Return the part of the variance of the runs' means that is the same in every series: states, the faulty run,
+    temperature.
+    """
     name, axis = channel.split()[0], axis_of(channel)
     steady = (slope(channel) * DEGC[11, "runs_std_of_means"]) ** 2
     if axis == 3:
@@ -175,19 +182,20 @@ def run_steps(channel: str) -> float:
 
 
 def part_steps(channel: str) -> float:
-    """Return the same for windows in a row: temperature."""
+    """Return the same for consecutive windows: temperature."""
     return (slope(channel) * DEGC[11, "cont_std_of_means"]) ** 2
 
 
 @cache
 def between_units(channel: str, column: str) -> float:
-    """Standard deviation of the logarithms of a column of Table 11 over the units of a group."""
+    """Return the standard deviation, over the units of a group, of the logarithms of a column of Table 11."""
     return float(np.std([log(printed(11, member, column)) for member in group_of(channel)], ddof=1))
 
 
 def level_parts(channel: str) -> tuple[dict[str, float], float]:
-    """Return the error of a level with +Z up on another day than Table 10's: its parts, and the share of their variance
-    that all such levels of the channel have in common (that day's, and the face's against the fit).
+    """Return the error of a level with +Z up on a day other than that of Table 10: its parts, and the share of their
+    variance that all of these levels of the channel have in common (that of the day of Table 10, and that of the face
+    relative to the fit).
     """
     days, face = day_to_day(channel), face_residual(channel)
     parts = {"day-to-day": sqrt(2) * days, "face repeatability": face}
@@ -205,9 +213,9 @@ class Statistic:
     """One number of a table, a figure or the text.
 
     z is (simulated - published) / uncertainty; for standard deviations, whose `scale` is "log", it is ln(simulated /
-    published) / uncertainty. `origin` says what the uncertainty is made of. `fitted`: the model was fitted to this very
-    number (and the uncertainty is what is left then). `derived`: arithmetic on other printed statistics, counted but
-    not part of the chi-square. `shared` of its variance is common to all statistics of the same `group`.
+    published) / uncertainty. `origin` names the parts of the uncertainty. `fitted`: the model was fitted to this number
+    (the uncertainty is then that of the residual). `derived`: arithmetic on other printed statistics, counted but not
+    part of the chi-square. `shared` of its variance is common to all statistics of the same `group`.
     """
 
     table: str
@@ -225,7 +233,7 @@ class Statistic:
 
     @property
     def z(self) -> float:
-        """The number of uncertainties that the simulation is off."""
+        """The difference of the simulation, in uncertainties."""
         if self.simulated == self.published:
             return 0.0
         if self.scale == "log":
@@ -236,7 +244,7 @@ class Statistic:
 
 
 def combined(parts: Mapping[str, float]) -> tuple[float, str]:
-    """Root sum of squares of the parts, and a text that names those that matter, the largest first."""
+    """Return the root sum of squares of the parts, and a text that names the relevant ones, largest first."""
     total = sqrt(sum(part**2 for part in parts.values()))
     named = sorted(((abs(part), name) for name, part in parts.items() if part), reverse=True)
     return total, ", ".join(f"{name} {part:.2g}" for part, name in named if part > 0.1 * total)
@@ -251,8 +259,8 @@ def linear(
     fitted: bool = False,
     derived: bool = False,
 ) -> Statistic:
-    """Return a statistic compared as it is; `at` is (table, channel, statistic), `parts` of its uncertainty by
-    cause.
+    """Return a statistic that is compared without a logarithm. `at` is (table, channel, statistic); `parts` are those
+    of its uncertainty, by cause.
     """
     return Statistic(*at, published, simulated, *combined(parts), fitted=fitted, derived=derived)
 
@@ -272,9 +280,9 @@ class AgreementSummary:
     """The number of statistics `within` 1, 2 and 3 uncertainties, of how many (`count`); `chi_square` of the
     `independent` ones per degree, and the interval `expected` (95 %) for it.
 
-    Statistics with a common cause are fewer than they seem: with the correlations r that the causes give, the mean of n
-    squares of unit normals has variance 2 sum(r_ij^2) / n^2, as chi-square over n^2 / sum(r_ij^2) degrees has; these
-    are `degrees`.
+    Statistics with a common cause are correlated. With correlations r, the mean of n squares of unit normals has the
+    variance 2 sum(r_ij^2) / n^2, which is that of chi-square divided by its n^2 / sum(r_ij^2) degrees of freedom; this
+    number is `degrees`.
     """
 
     count: int
@@ -325,7 +333,9 @@ class Replica:
 
     @property
     def kinds(self) -> dict[str, AgreementSummary]:
-        """The summaries of what the model was "fitted to" and what it "foretold", and of "axes" and "thermometers"."""
+        """The summaries of the statistics that the model was "fitted to" and that it "foretold", and of "axes" and
+        "thermometers".
+        """
         kinds: dict[str, list[Statistic]] = {"fitted to": [], "foretold": [], "axes": [], "thermometers": []}
         for row in self.statistics:
             kinds["fitted to" if row.fitted else "foretold"].append(row)
@@ -342,7 +352,7 @@ class Replica:
         return tuple(dict.fromkeys(row.table for row in self.statistics))
 
     def beyond(self, limit: float = 3.0) -> tuple[Statistic, ...]:
-        """Return the statistics that are more than `limit` uncertainties off."""
+        """Return the statistics that differ by more than `limit` uncertainties."""
         return tuple(row for row in self.statistics if abs(row.z) > limit)
 
     def as_json(self) -> dict[str, Any]:
