@@ -127,7 +127,7 @@ class SensorRoute:
     driver: Driver
     segment: int | str | None
     claim: Callable[[], None] = lambda: None
-    """Raises SensorError if a kernel driver owns the address of the sensor; a bus without such drivers never does."""
+    """Raises SensorError if a kernel driver owns the address of the sensor; does nothing on a bus without drivers."""
 
     @property
     def header(self) -> SensorHeader:

@@ -4,7 +4,7 @@ to each.
 Doubtful rows wait or are flagged; the sensor is searched for or configured again (`SensorRecovery`); events
 report it.
 
-`Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
+`Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag shows whether it has a new
 reading since the last read. Two reads may follow each other closely (a late frame, a burst of frames after a stall); an
 old reading is then normal. It is an error if more time has passed since the last new reading than the chip needs for
 one at the slow end of its oscillator. Chips without such a flag can't be tested in this way, because two equal readings
@@ -59,7 +59,7 @@ class StartVerdict(Protocol):
 
     @property
     def text(self) -> str:
-        """A sentence for the events, or "" if there is nothing to say."""
+        """A sentence for the events, or "" if there is no remark."""
 
 
 Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]

@@ -35,9 +35,7 @@ RAN_OVER = "the chip's queue ran over"
 
 
 def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> list[Rows]:
-    """Return the rows of each route; those of both halves of a chip with a queue are filled by the half that comes
-    first.
-    """
+    """Return the rows of each route; the first half of a chip with a queue fills the rows of both halves."""
     leaders: dict[int, QueueRows] = {}
     rows: list[Rows] = []
     for route, places in zip(routes, plan.visits, strict=True):

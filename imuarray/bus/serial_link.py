@@ -158,7 +158,7 @@ class FirmwareCounts(NamedTuple):
 @dataclass(frozen=True)
 class CountRule:
     """The rule for the length of a counted request: the two bytes at `offset` of the answer before it, with `mask`,
-    count packets of `packet` bytes, or bytes of such packets.
+    are the number of packets of `packet` bytes, or the number of their bytes.
     """
 
     packet: int
@@ -309,8 +309,8 @@ def resend_payload(first: int, count: int) -> bytes:
 
 
 def sent_again(payload: bytes) -> tuple[int, int]:
-    """Decode the answer to RESEND: the number of frames that were sent again, and the frame number, mod 65536, to go on
-    with; errors as of `outcome_of`.
+    """Decode the answer to RESEND: the number of frames that were sent again, and the frame number, mod 65536, to
+    continue with; errors as of `outcome_of`.
     """
     frames, following = struct.unpack("<HH", outcome_of(payload, 4, "frames to be sent again"))
     return frames, following

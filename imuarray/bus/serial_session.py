@@ -179,7 +179,7 @@ class Admission:
         return places[kept]
 
     def _remember(self, grid_us: Integers, sent_us: int) -> None:
-        """Store the position of the grid, from frames of which the newest was sent at `sent_us`."""
+        """Store the position of the grid, from frames; the newest of them was sent at `sent_us`."""
         earliest_us = int(grid_us.min())
         if sent_us - self._grid_since_us > MEMORY_US:
             self._earlier_grid_us, self._grid_us, self._grid_since_us = self._grid_us, earliest_us, sent_us

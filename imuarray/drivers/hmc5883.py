@@ -1,8 +1,8 @@
 """HMC5883 and HMC5883L magnetometers. Honeywell Form 900405 Rev A (2010) and Rev E; facts HMC-*.
 
-Both identify themselves as "H43"; the configuration must name the chip, because their gains differ (HMC-30). Data comes
-as X, Z, Y, high byte first (HMC-31); -4096 means that the converter overflowed (HMC-32). The register pointer is always
-written (HMC-06).
+Both identify themselves as "H43"; the configuration must name the chip, because their gains differ (HMC-30). Data are
+in the order X, Z, Y, high byte first (HMC-31); -4096 means that the converter overflowed (HMC-32). The register pointer
+is always written (HMC-06).
 """
 
 from __future__ import annotations

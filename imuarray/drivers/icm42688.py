@@ -246,8 +246,8 @@ class Icm42688Fifo(QueuedHalf, Icm42688):
         return Icm42688Queue(self.registers, self.clock, rates_hz, has_pulses=self.has_pulses)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Return the queue: packets of the halves that are read, of which the oldest are lost first (TDK-80), with
-        stamps in microseconds (TDK-83).
+        """Return the queue: packets of the halves that are read, with stamps in microseconds (TDK-83);
+        an overflow drops the oldest packets (TDK-80).
 
         Only packets of both halves have a stamp, and thus the time since a pulse (TDK-90).
         """
@@ -300,8 +300,8 @@ class Icm42688HighResolution(Icm42688Fifo):
         )
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 18 or 19 bits, of which the lowest code is no reading, and the temperature register's own
-        counts.
+        """Return counts of 18 or 19 bits (the lowest code means no reading), and the counts of the temperature
+        register.
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
         temperature = np.ascontiguousarray(bursts[:, 12:]).view(">i2")[:, 0].astype(np.int16)

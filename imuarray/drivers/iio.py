@@ -1,4 +1,4 @@
-"""Sensors that a driver of the kernel serves as devices of the IIO subsystem: any chip that Linux has a driver for.
+"""Sensors that a driver of the kernel serves as devices of the IIO subsystem: any chip with a driver in Linux.
 
 A sensor is one triad of a device (its accelerometer, gyroscope or magnetometer): two sensors may share a device, as the
 halves of a six-axis chip do. With `fifo = true` the kernel captures into its buffer, and every sample arrives with the
@@ -342,7 +342,7 @@ class IioSensor:
         narrow = self.conversion.bits <= 16
         return DecodedBursts(counts.astype(np.int16) if narrow else counts.astype(np.int32), temperature, status)
 
-    # What the log says of it --------------------------------------------------------------------------------------
+    # Description in the log ---------------------------------------------------------------------------------------
 
     def header(self) -> Mapping[str, int] | Mapping[str, float]:
         """Return an empty header: `described` has all of it."""

@@ -67,9 +67,7 @@ class L3g4200d(ChipDriver):
         self.watched: tuple[Setting, ...] = (self.power, *self.settings[2:])
 
     def steps(self) -> Iterator[float]:
-        """Yield the steps of its configuration, without a reset, because there is none: every control register is
-        written, then the power bit; wait for the turn-on.
-        """
+        """Write every control register, because the chip has no reset, then the power bit; wait for the turn-on."""
         for setting in (*self.settings, self.power):
             self.registers.set(setting)
             yield 0.0

@@ -115,7 +115,7 @@ class Lsm6dso(SixAxisHalf):
         return own.full_scale.register[7:0](value)
 
     def steps(self) -> Iterator[float]:
-        """Write every setting, of which the last switches this half on; wait until it measures."""
+        """Write every setting; the last one switches this half on. Wait until it measures."""
         for setting in self.settings:
             self.registers.set(setting)
             yield 0.0

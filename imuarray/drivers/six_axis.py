@@ -57,8 +57,8 @@ def factory_change(codes: bytes) -> Floats:
 
 
 def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
-    """Return the readings (n, 3) before a self-test and during it, with the sign changed of axes that it deflects
-    downwards.
+    """Return the readings (n, 3) before and during a self-test; the sign of axes that the test deflects downwards is
+    changed.
     """
     sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)
     return before * sign, during * sign

@@ -366,8 +366,8 @@ class Icm42688Queue(DieQueue):
         return (bytes_read - _FLAGS_AND_COUNT) // self.size
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """Implement `UnattendedQueue`: flags, count and packets are consecutive registers, of which the last one does
-        not increment, so that one transaction reads them all.
+        """Implement `UnattendedQueue`: flags, count and packets are consecutive registers, and the address does
+        not increment beyond the last one, so that one transaction reads them all.
         """
         return (QueueRequest(icm42688.INT_STATUS, _FLAGS_AND_COUNT + samples * self.size),)
 

@@ -26,7 +26,7 @@ _SEGMENT = 1 << 17
 """Number of rows of one spectrum of long errors."""
 
 _AT_ONCE = 4
-"""Number of such segments up to which one spectrum for all rows needs no more memory than those of the segments."""
+"""Largest number of segments for which one spectrum of all rows needs no more memory than those of the segments."""
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ class QuietNoise:
 
     It is the lower quartile, over segments of `SEGMENT` frames, of the standard deviation of differences over sqrt 2. A
     motion has no effect if the box rests at times; it is too large for a box that never rests. Frames without a
-    quantity, such as every second frame if its sensors are half as fast as the frames, are skipped.
+    quantity, for example every second frame if its sensors are half as fast as the frames, are skipped.
     """
 
     def __init__(self) -> None:
@@ -250,7 +250,7 @@ class ErrorFramesOnDisk:
         return {quantity: spool.complete() for quantity, spool in self._spools.get(name, {}).items()}
 
     def take(self, name: str, files: Mapping[str, Path]) -> None:
-        """Take the frames of one result from such files, possibly of another process; they must exist until read."""
+        """Take the frames of one result from files of `files`, maybe of another process; they must exist until read."""
         spools = self._spools.setdefault(name, {})
         for quantity, path in files.items():
             spools[quantity] = self._stack.enter_context(ErrorFrameSpool(path, "rb"))

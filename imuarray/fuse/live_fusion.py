@@ -39,11 +39,11 @@ from imuarray.printable import counted
 from imuarray.units import INERTIAL, READABLE_SI
 
 _SECONDS_WAITING = 30.0
-"""Longest duration of the rows in the queue."""
+"""Longest duration in s of the rows in the queue."""
 _WRITE_S = 1.0
-"""Duration of the frames that are written at once."""
+"""Duration in s of the frames that are written at once."""
 _SWITCH_S = 5e-5
-"""Longest time for which the thread keeps the interpreter from the recording, which needs it after every transaction.
+"""Longest time in s for which the thread holds the interpreter, which the recording needs after every transaction.
 """
 _FAULTS_KEPT = 1000
 """Number of most recent faults in the report; the file contains all of them."""

@@ -91,7 +91,7 @@ sufficient.
 
 @runtime_checkable
 class ByQuantity(Protocol):
-    """A pipeline that only applies a technique to each quantity, for which there may be a faster way."""
+    """A pipeline that only applies a technique to each quantity; a stream may compute the same faster."""
 
     axes: Mapping[str, Sequence[Axis]]
     techniques: Mapping[str, Technique]
@@ -101,7 +101,7 @@ class QuantityPipeline:
     """A technique applied to each quantity separately."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
-        """FusionError if there is no such technique, or if the axes are not sufficient for it."""
+        """FusionError if the technique does not exist, or if the axes are not sufficient for it."""
         if technique not in TECHNIQUES:
             allowed = ", ".join(TECHNIQUES)
             raise FusionError(f"technique {technique!r}: allowed are {allowed}{guess(technique, TECHNIQUES)}")

@@ -38,11 +38,11 @@ RESPONSE_CHANGE = 2e-3
 motion from what was calibrated, if nothing else is known: nonlinearity (L3G-73: 0.2 % of the range; BMA-117: 0.15 to
 0.75 %; ADX-65: 0.5 %) and another temperature.
 
-Without it `optimal` amplifies such errors. Calibrations leave one and the same combination u of elements uncertain for
-every sensor, for example the axes x and z about Y, to 1 %, and others to 1e-5. The parities do not contain an error c
-that all sensors share along u: they show ``c_i u_i - c_j u_j``. But the fitted u_i of the sensors differ by some 1e-3,
-so the parities seem to determine c, as the difference of two sensors over ``u_i - u_j``, and an unmodelled difference
-of 5e-4 becomes an error of 5 % of the angular rate.
+Without it `optimal` amplifies errors of responses. Calibrations leave the same combination u of elements uncertain for
+every sensor, for example the axes x and z about Y, by 1 %; other combinations are uncertain by 1e-5. The parities do
+not contain an error c that all sensors share along u: they show ``c_i u_i - c_j u_j``. But the fitted u_i of the
+sensors differ by some 1e-3, so the parities seem to determine c, as the difference of two sensors over ``u_i - u_j``,
+and an unmodelled difference of 5e-4 becomes an error of 5 % of the angular rate.
 
 A response whose standard errors are all 0 is exact, as in a study that knows the truth, and does not change.
 """

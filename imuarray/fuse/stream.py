@@ -49,8 +49,8 @@ from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 RECENT = MARGIN
-"""Largest number of frames over which an offset is averaged: its noise is then below a fifth of one reading's, and adds
-little to that of the result. `FusionStream` keeps as many.
+"""Largest number of frames over which an offset is averaged: its noise is then below a fifth of that of a reading, and
+adds little to that of the result. `FusionStream` keeps the same number of frames.
 """
 
 _AT_ONCE = 256

@@ -239,7 +239,7 @@ class Column:
 
 
 class LiveGroup:
-    """A group of such columns; it replaces an HDF5 group."""
+    """A group of columns (`Column`); it replaces an HDF5 group."""
 
     def __init__(self, name: str, attributes: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
         self.name, self.attrs = name, attributes

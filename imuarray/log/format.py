@@ -87,7 +87,7 @@ marks, the first after it; nan in all other rows.
 """
 
 SYNC_PULSE_ERROR = "sync_pulse_error"
-"""Attribute of such a sensor: the largest error of that time in s."""
+"""Attribute of a sensor with the column `SYNC_PULSE`: the largest error of the times in it, in s."""
 
 SINGLE_PRECISION = (TIME_UNCERTAINTY, SYNC_PULSE)
 """Columns in physical units that a log stores in 32 bits."""

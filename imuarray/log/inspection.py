@@ -4,9 +4,9 @@ Nothing in a log may lead outside it (links, external storage, virtual datasets,
 have to be loaded, declare more data than the file can hold, or be reachable twice. Links, headers, declared sizes and
 texts are inspected here; no numbers are read.
 
-An HDF5 file that was never closed is opened for reading without changing it (`UnclosedFile`). Its superblock says that
-it is open for writing, so HDF5 opens it only as a reader of a file with an active writer (SWMR). Such a reader waits
-for damaged blocks to be repaired, each time twice as long; after a power cut no writer will repair them. HDF5 is
+An HDF5 file that was never closed is opened for reading without changing it (`UnclosedFile`). Its superblock marks
+it as open for writing, so HDF5 opens it only as a reader of a file with an active writer (SWMR). This reader waits for
+damaged blocks to be repaired, each time twice as long; after a power cut no writer will repair them. HDF5 is
 therefore given the file with that flag cleared and with its actual end: the superblock states the end at the last flush
 of the whole file, and a chunk that was flushed alone may follow it.
 
@@ -15,8 +15,8 @@ sum. A damaged heap sends HDF5 (2.0 and earlier) into an endless loop, because a
 bytes leads back to its own position. The bytes are therefore read here first, and an inconsistent heap is reported as a
 disk error.
 
-One length is not checked here: that in the reference to a text (32 bits). HDF5 allocates that much memory before it
-notices that the text is shorter, and reports an error.
+One length is not checked here: that in the reference to a text (32 bits). HDF5 allocates memory of that length before
+it notices that the text is shorter, and reports an error.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ and the groups of equally long columns (`ColumnGroup`) whose rows it holds.
 All little-endian. A block of rows is the columns of its group one after the other. The groups are those of the sensors
 in their order, then those of `TRACK_COLUMNS`, then `notes` (phases and events, one line of JSON each, as bytes).
 
-The CRC of each block continues from that of the previous one (the first from that of the preamble),
-so that stale data after the last good block is rejected after a crash or a power cut. After damage in the middle,
-blocks are good again from where the chain continues in blocks of this log, whose tag comes from its identity. Journals
-of earlier versions ("imuarray journal 1") have their preamble once, and the oldest have the tag 0; they can be read
-too.
+The CRC of each block continues from that of the previous one (the first from that of the preamble), so that stale data
+after the last good block are rejected after a crash or a power cut. After damage in the middle, blocks are accepted
+again from the position at which the chain continues in blocks with the tag of this log, which is derived from its
+identity. Journals of earlier versions ("imuarray journal 1") have their preamble once, and the oldest have the tag 0;
+they can also be read.
 """
 
 from __future__ import annotations

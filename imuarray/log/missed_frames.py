@@ -35,7 +35,9 @@ MISSED = re.compile(r"(in all )?(\d+) frames? missed")
 """The message of an event of the kind "late": the frames missed when a delay began, or in the whole delay."""
 
 BUS_WAS_LATE = "the bus did not answer in time"
-"""The reason in such a message if a transaction timed out in the previous frame; otherwise the machine was late."""
+"""The reason in the message of this event if a transaction timed out in the previous frame; otherwise the machine was
+late.
+"""
 
 
 class FrameTiming(NamedTuple):

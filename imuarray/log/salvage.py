@@ -112,7 +112,7 @@ class Salvage:
 
     def resume(self, bad: Mark) -> tuple[Mark, Record | None] | None:
         """Return where good blocks resume after the bad one at `bad`, and the bad one if it could be restored; None if
-        there is no such place within the budget.
+        they do not resume within the budget.
         """
         chains = self._chains(bad)
         for head_position in self._heads(bad.position):

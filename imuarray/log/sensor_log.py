@@ -270,7 +270,7 @@ class SensorLog(CountScale):
         return self._columns[name]
 
     def has_compensated(self, name: str) -> bool:
-        """Return whether there is such a column."""
+        """Return whether the log has a column of this name with one value per row."""
         dataset = self._group.get(name)
         return isinstance(dataset, DATASET) and dataset.shape == self.time.shape
 

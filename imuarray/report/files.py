@@ -233,7 +233,7 @@ def reportable_files(path: Path) -> list[Path]:
 
 
 def file_kind(path: Path) -> str:
-    """Return which of `KINDS` a file or folder is; LogError if it is none."""
+    """Return which of `KINDS` a file or folder is; LogError for any other."""
     if kind := _kind_of(path):
         return kind
     missing = f"no such file or folder{guess_file(path)}" if not path.exists() else "not a file that a report can show"

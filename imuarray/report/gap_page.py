@@ -80,7 +80,7 @@ PLACEBO = "placebo"
 
 
 def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bool = False) -> None:
-    """Write the page; without matplotlib it has only tables, and says so.
+    """Write the page; without matplotlib it has only tables, and a note.
 
     OutputExistsError if the file exists and not `force`, MissingExtraError without jinja2.
     """

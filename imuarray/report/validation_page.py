@@ -44,7 +44,7 @@ def write_validation_page(
     force: bool = False,
 ) -> None:
     """Write the page. `command` is the command of the run; `plots` are its figures (None: `plots_of` draws them).
-    Without matplotlib the page has only tables, and says so.
+    Without matplotlib the page has only tables, and a note.
 
     OutputExistsError if the file exists and not `force`, MissingExtraError without jinja2.
     """
