@@ -268,7 +268,7 @@ def witnesses_of(route: SensorRoute, all_routes: Sequence[SensorRoute]) -> list[
 
 
 SWEEP_S = 0.85
-"""Longest time between two reads of the same register; a wrong one is read again in the next frame."""
+"""Longest time in s between two reads of the same register; a wrong register is read again in the next frame."""
 
 
 def frames_of(rate_hz: float) -> int:

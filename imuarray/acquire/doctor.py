@@ -110,7 +110,7 @@ def _group(machine: Machine, number: int) -> str:
 
 DEVICES = "/sys/bus/i2c/devices"
 DEFAULT_HZ = 100_000
-"""Usual clock of i2c-bcm2835 and of most other adapters (LNX-17)."""
+"""Usual clock in Hz of i2c-bcm2835 and of most other adapters (LNX-17)."""
 _FUNC_I2C = 1
 _QUIRKS = {
     "bcm2835": "has no clock stretching (LNX-11), allows one read per transaction (LNX-10)",

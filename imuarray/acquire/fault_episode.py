@@ -22,9 +22,9 @@ LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
 
 Report = Callable[[int, str, str], None]
-"""(at_ns, kind, message)."""
+"""Arguments: at_ns, kind, message."""
 SensorReport = Callable[[str, int, str, str], None]
-"""(sensor, at_ns, kind, message)."""
+"""Arguments: sensor, at_ns, kind, message."""
 
 UNITS: Mapping[str, str] = MappingProxyType(
     {

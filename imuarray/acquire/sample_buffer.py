@@ -153,7 +153,7 @@ of the chip again.
 """
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
-"""A sensor without a reading for this number of seconds, and for the duration of this number of readings, is silent."""
+"""Duration in s, and number of reading periods, without a reading after which a sensor is silent (the longer one)."""
 HELD_S = 10.0
 """Longest time in s that a row waits. A row that was not verified in this time is written as suspect. If a sensor is
 read so rarely that a frozen reading is detected only later, its rows are written before that.

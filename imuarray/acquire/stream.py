@@ -209,8 +209,8 @@ WRITE_NS = 1_000_000_000
 """Time between two writes, in ns."""
 SILENCE_NS = 2_000_000_000
 SILENT_PERIODS = 2.5
-"""A microcontroller that has sent nothing for this time, and for this multiple of its usual pauses, was reset or
-removed.
+"""Time in ns, and multiple of the usual pauses, without data after which a microcontroller counts as reset or removed
+(the longer of both).
 """
 QUIET_S = 0.5
 """Duration of silence at the end, in s and in excess of two of the microcontroller's usual pauses, above which the link

@@ -21,9 +21,9 @@ from imuarray.drivers.six_axis_queue import UnattendedQueue
 from imuarray.drivers.unattended import unattended_queue_of
 
 _I2C_BYTE_NS = 9_000
-"""Least time of a byte on an I2C bus: 9 clocks at 1 MHz (fast-mode plus)."""
+"""Least time in ns of a byte on an I2C bus: 9 clocks at 1 MHz (fast-mode plus)."""
 LONGEST_US = 1_000_000
-"""A transaction with the largest age that can be sent took place within this time; a watchdog ends longer ones.
+"""Longest duration in us of a transaction with the largest age that can be sent; a watchdog ends longer transactions.
 """
 _COUNTER_NS = 2_000
 """Uncertainty in ns of a time minus an age: both are whole microseconds, and each is off by up to one."""

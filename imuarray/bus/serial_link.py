@@ -95,7 +95,7 @@ _HEADER = struct.Struct("<2sHBHI")
 _BODY = _HEADER.size
 _CRC = struct.Struct("<I")
 OVERHEAD = _BODY + _CRC.size
-"""Bytes of a frame that are not payload."""
+"""Number of bytes of a frame outside its payload."""
 _HELLO = struct.Struct("<BBH")
 _FEATURES = struct.Struct("<BBI")
 _SELECT = struct.Struct("<BBI")

@@ -40,7 +40,7 @@ from imuarray.log.format import SATURATED, STALE, SUSPECT
 from imuarray.printable import counted
 
 FOREVER_NS = 1 << 62
-"""Later than any time of a log."""
+"""A time in ns that is later than any time of a log."""
 
 
 class RowWindow:
@@ -537,7 +537,7 @@ def _remove_motion(
 
 
 _GAP_PERIODS = 5
-"""Longest pause over which the slope of the motion is known, in periods."""
+"""Longest pause, in periods, over which the slope of the motion is known."""
 
 _OWN = (5 * np.sqrt(3) - 7.5, 0.09996)
 _ACROSS = (-9.919, -2.517)

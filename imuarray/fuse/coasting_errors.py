@@ -34,7 +34,7 @@ STILL_S, COAST_S = 10.0, 60.0
 _STILL_RAD_PER_S = np.radians(0.1)
 _STILL_MPS2 = 0.01 * STANDARD_GRAVITY
 _STEP_S = 1.0
-"""Step to the next window if a window does not begin at rest or contains a pause."""
+"""Step in s to the next window if a window does not begin at rest or contains a pause."""
 
 _PAUSE_S = 0.5
 

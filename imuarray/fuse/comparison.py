@@ -46,13 +46,13 @@ from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log, open_log
 
 _POLL_S = 0.5
-"""Time between two readings of the other process's progress."""
+"""Interval in s between two reads of the other process's progress."""
 
 _HEAVY = 5.0
-"""Duration of an estimator of the whole array relative to all simple techniques together."""
+"""Assumed duration of an estimator of the whole array, relative to that of all simple techniques together."""
 
 _SHARE = "share"
-"""The file to which a process writes its progress."""
+"""Name of the file to which a process writes its progress."""
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""

@@ -189,17 +189,17 @@ def mismatch_sentences(calibration: Calibration, mismatches: Mapping[str, Temper
 
 
 BAROMETER_S = 15.0
-"""Age of a barometer's rows that a frame uses: a recording releases them only after later checks of the chip, and
-frames do not wait for that.
+"""Age in s of the barometer's rows that a frame uses: a recording releases them only after later checks of the chip,
+and frames do not wait for that.
 """
 
 TREND_S = 20.0
-"""Time over which the trend is fitted: short compared with the minutes of a heating; extrapolation by 20 s multiplies
-the noise of the means, hundredths of a degree, by two or three.
+"""Time in s over which the trend is fitted: short compared with the minutes of a heating; extrapolation by 20 s
+multiplies the noise of the means, hundredths of a degree, by two or three.
 """
 
 _FEWEST = 3
-"""Fewest segments for a trend."""
+"""Least number of segments for a trend."""
 
 _WIDTH_NS = round(SEGMENT_S * 1e9)
 _MOST_SEGMENTS = 64

@@ -23,7 +23,7 @@ from imuarray.fuse.spools import RowSource, RowSpool, row_blocks
 _FEWEST = 20
 
 _SEGMENT = 1 << 17
-"""Number of rows of one spectrum of long errors."""
+"""Number of rows of one spectrum, for errors that have more rows."""
 
 _AT_ONCE = 4
 """Largest number of segments for which one spectrum of all rows needs no more memory than those of the segments."""

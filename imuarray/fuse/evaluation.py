@@ -27,13 +27,13 @@ from imuarray.log.format import Phase
 from imuarray.units import INERTIAL
 
 SEGMENT = 256
-"""Frames of one segment of `quiet_noise`."""
+"""Number of frames in a segment of `quiet_noise`."""
 
 _SLOW_MEANS = 16
 """Number of means whose spread is the drift."""
 
 _MARGIN = 32
-"""Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
+"""Number of rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
 
 
 _LARGE_CHANGE = 2 * RESPONSE_CHANGE
-"""Smallest estimated change of responses that is stated."""
+"""Estimated change of responses above which it is reported."""
 
 
 def _large_changes(calibration: Calibration, before: Calibration) -> dict[float, list[str]]:
@@ -253,7 +253,7 @@ class Patience:
 PATIENCE = Patience()
 
 _FIRST_PASS = 0.75
-"""Share of the time of the first of two passes, which detects faults and filters."""
+"""Share of the time that the first of two passes takes; it detects faults and filters."""
 
 
 # The options are independent of one another, keyword-only and the interface of the package.

@@ -32,7 +32,7 @@ from imuarray.products import multiply_rows
 from imuarray.units import STANDARD_GRAVITY
 
 BLOCK_BYTES = 1 << 19
-"""Size of a block of counts that fits the processor's cache."""
+"""Size in bytes of a block of counts that fits the processor's cache."""
 
 
 class ConstantGain:
@@ -67,7 +67,7 @@ class ConstantGain:
 
 
 _PAIRED = 4096
-"""Frames whose products of (1, X, Y, Z) are computed at once."""
+"""Number of frames for which the products of (1, X, Y, Z) are computed at once."""
 
 
 def _pairs(triads: Floats) -> Floats:
@@ -257,14 +257,14 @@ def spans(normal: Floats) -> npt.NDArray[np.bool_]:
 TOLERATED_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.25 * STANDARD_GRAVITY, "angular_rate": np.radians(2.0)}
 )
-"""Keyed by quantity: five times the noise of an ADXL345's z axis, ten times that of an L3G4200D. An axis with a larger
-bias adds a constant to the mean, which does not affect its slope.
+"""Tolerated difference from the mean in SI, by quantity: five times the noise of an ADXL345's z axis, ten times that of
+an L3G4200D. An axis with a larger bias adds a constant to the mean, which does not affect its slope.
 """
 
 _TIMES_USUAL = 4.0
 
 _CONSENSUS_BYTES = 1 << 18
-"""Size of the readings that are processed at once, so that they and the intermediate results fit the cache."""
+"""Size in bytes of the readings that are processed at once, so that they and the intermediate results fit the cache."""
 
 _FEW = 8
 """Largest number of sensors that are sorted by exchanges of neighbours."""

@@ -49,10 +49,10 @@ A response whose standard errors are all 0 is exact, as in a study that knows th
 
 _STRETCHES = 5
 _STRETCH_S = 60.0
-"""Number and length of the parts of a log that are read; their biases and temperatures count as constant."""
+"""Number, and length in s, of the parts of a log that are read; their biases and temperatures count as constant."""
 
 _FEWEST = 100
-"""Fewest windows for an estimate."""
+"""Least number of windows for an estimate."""
 
 _EXCITED = 1000.0
 """Least variance of the stimulus along a direction, in variances of its noise: in a slower motion, a change of
@@ -60,8 +60,8 @@ _EXCITED = 1000.0
 """
 
 _OUTLIER_SIGMAS, _OUTLIER_SHARE = 6.0, 0.05
-"""Windows whose parities are larger than this multiple of their noise plus this share of the stimulus contain a fault
-and not a change of the response.
+"""Limit of the parities of a window, as a multiple of their noise plus a share of the stimulus: windows above it
+contain a fault and not a change of the response.
 """
 
 _TAIL = 4.0
@@ -232,12 +232,12 @@ def _stretches(known: Sequence[Calibrated]) -> Iterator[_Windows]:
 
 
 _SLOW_RATE = 0.1
-"""Largest angular rate in rad/s, in a window and in those beside it, at which accelerometers that are some centimetres
+"""Largest angular rate in rad/s, in a window and in its neighbours, at which accelerometers that are some centimetres
 apart differ by less than a ten-thousandth of gravity.
 """
 
 _FEWEST_OF_STRETCH = 20
-"""Fewest windows of a part of the log."""
+"""Least number of windows of a part of the log that is used."""
 
 
 class _SoundWindows(NamedTuple):

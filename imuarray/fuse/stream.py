@@ -183,7 +183,7 @@ def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | 
 Out = TypeVar("Out")
 
 TIMEOUT_S = 3.0
-"""Longest time to wait for a sensor; a recording writes its rows once per second."""
+"""Longest time in s to wait for a sensor; a recording writes its rows once per second."""
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ GROUP = (h5py.Group, LiveGroup)
 """The classes of the groups of a log."""
 
 DATASET = (h5py.Dataset, Column)
-"""A column in the file or in memory."""
+"""The classes of a column, in the file or in memory."""
 
 
 class Track(NamedTuple):

@@ -241,9 +241,9 @@ class SensorHeader(CountScale):
 
 
 PREAMBLE = "preamble"
-"""The attribute of an unfinished HDF5 file with the preamble; a finished file does not have it."""
+"""The attribute of an unfinished HDF5 file that contains the preamble; a finished file does not have it."""
 PREAMBLE_CRC = "preamble_crc32"
-"""The checksum of that text (UTF-8), which HDF5 does not protect."""
+"""The attribute with the checksum of the preamble's text (UTF-8), which HDF5 does not protect."""
 
 _NO_TEXTS = frozenset({"sensors", "frame_rate_hz"})
 _TUPLES = ("position_mm", "columns", "compensated")

@@ -54,13 +54,13 @@ if sys.platform != "win32":
     import fcntl
 
 CHUNK = 4096
-"""Rows per chunk: about 40 s at 100 Hz; 24 KiB of counts."""
+"""Number of rows per chunk: about 40 s at 100 Hz; 24 KiB of counts."""
 
 COMPRESSED: Mapping[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-"""How the columns of a finished log are stored: compressed, each chunk with a checksum."""
+"""Storage of the columns of a finished log: compressed, each chunk with a checksum."""
 
 PLAIN: Mapping[str, Any] = {}
-"""How the columns of a log are stored while it is written."""
+"""Storage of the columns of a log while it is written: not compressed, without checksums."""
 
 LIBVER = "v110"
 """The earliest file format with single writer and multiple readers (SWMR). "latest" would depend on the installed HDF5,
@@ -72,7 +72,7 @@ _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
 """NeXus: rows over time; the second dimension has no numeric axis."""
 
 _EMPTY_BYTES = 1 << 14
-"""Upper estimate of the space that HDF5 needs for a group and its columns."""
+"""Upper estimate of the bytes that HDF5 needs for a group and its columns."""
 
 _REVISED_CHUNKS = 16
 """Number of chunks of a column that are revised together: half a megabyte."""

@@ -25,7 +25,7 @@ HEAD = struct.Struct("<HHI")
 """Header of a block in a journal: group, tag, rows."""
 CRC = struct.Struct("<I")
 OVERHEAD = HEAD.size + CRC.size
-"""Bytes of a block before its payload."""
+"""Number of bytes of a block before its payload."""
 
 LONGEST_BLOCK = 1 << 28
 
@@ -39,7 +39,7 @@ _LEAST_CHECK = 4096
 """Least number of bytes that a check costs; with `CHECK_BYTES` it limits the number of checks."""
 
 _WINDOWS = (1 << 12, 1 << 16, 1 << 20)
-"""Bytes that are searched at a time: most damage is short."""
+"""Numbers of bytes that are searched at a time, small ones first: most damage is short."""
 
 _LONGEST_GAP = 1 << 20
 """Largest number of damaged bytes that may be one block with a wrong head."""

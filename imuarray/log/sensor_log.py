@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _EDGE_ROWS = 4096
 
 FARTHEST_NS = 1 << 62
-"""Times of a log are less than this from its epoch, so that the difference of any two of them fits into 64 bits."""
+"""Limit in ns of the distance of a log's times from its epoch: the difference of any two of them fits into 64 bits."""
 
 
 class OpenLog(Protocol):

@@ -257,7 +257,7 @@ class Live:
 
 
 SYNC_S = 1.0
-"""Time after which acknowledged rows survive a power cut."""
+"""Time in s after which acknowledged rows survive a power cut."""
 
 
 class Block(NamedTuple):

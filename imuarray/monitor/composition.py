@@ -164,7 +164,7 @@ def _spectrum(window: LatestRows, values: Floats) -> Spectrum | None:
 
 TECHNIQUE = "mean"
 _PATIENCE_S = (0.02, 0.05, 0.0)
-"""Pause after each attempt to read a result that is being written."""
+"""Pause in s after each attempt to read a result that is being written."""
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:

@@ -177,7 +177,7 @@ class _MissingPage(_CheckedHandler):
 
 PORT = 8765
 LINGER_S = 3.0
-"""Time for which an open page is still served after a request to end, so that it shows how the log ended."""
+"""Time in s for which an open page is still served after a request to end, so that it shows how the log ended."""
 
 _STEP_S = 0.2
 

@@ -16,7 +16,7 @@ EVENTS = 5
 _SIGNS = {"specific_force": "force", "angular_rate": "rate"}
 _GIB = 1 << 30
 _NUMBERS = 70
-"""Columns of the table without the names."""
+"""Width of the table without the names, in characters."""
 
 
 def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:

@@ -34,7 +34,7 @@ _MOST_BYTES = 1 << 26
 """Largest size of a text file, in bytes."""
 
 _LONG_ROWS = 120_000
-"""Number of rows of a sensor from which on a second process saves more than the second that its start takes."""
+"""Least number of rows of a sensor for which a second process saves more than the second that its start takes."""
 
 _NOISE = 0.2
 """Share of the time for a log's sections that the noise takes; the techniques take the rest."""

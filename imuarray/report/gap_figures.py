@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from imuarray.gap.findings.diagnosis import Gap, Map, Overlay
 
 LOGARITHMIC: Mapping[str, str] = MappingProxyType({"spectrum": "xy", "allan": "xy", "temperature": "", "codes": ""})
-"""Which axes of an overlay are logarithmic, by kind."""
+"""Logarithmic axes of an overlay, by kind."""
 
 
 def shrink_figure(gap: Gap) -> Figure:

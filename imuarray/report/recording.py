@@ -46,7 +46,7 @@ _STATIC = 500
 """Largest number of stretches of a sensor in the SVG, about one for each pixel of its width."""
 _BLOCK = 1 << 16
 _SEPARATE = 400
-"""Duration of the recording divided by the distance of two marks, above which the marks are joined."""
+"""Ratio of the duration of the recording to the distance of two marks, above which the marks are joined."""
 
 Kind = Literal["clipped", "missing", "silent"]
 KINDS: tuple[Kind, ...] = ("clipped", "missing", "silent")

@@ -32,7 +32,7 @@ from imuarray.validation.scoring import (
 
 Parts = list[Table | Figure]
 Plots = Mapping[str, Any]
-"""Drawings by their names."""
+"""Drawings by name."""
 
 
 def write_validation_page(
