@@ -1,11 +1,12 @@
-"""Drive, log, calibrate and fuse an array of low-cost MEMS inertial sensors, and tell why a simulator differs from it.
+"""Drive, log, calibrate and fuse an array of low-cost MEMS inertial sensors, and diagnose why a simulator differs from
+it.
 
 Words: an *array* is all sensors of one box; a *frame* is one pass over it; a *log* holds counts, the raw signed
 register values; specific force (m/s2) and angular rate (rad/s) are given in the box frame.
 
 The names below are loaded when first used. `calibrate_tumble`, `calibrate_noise`, `calibrate_thermal`,
-`calibrate_turn_on`, `characterise`, `fuse`, `simulate` and `diagnose` do what the commands do, in one call each
-(`imuarray.analysis`); `fuse`, `simulate` and `characterise` are packages too, which hold their parts.
+`calibrate_turn_on`, `characterise`, `fuse`, `simulate` and `diagnose` do the same as the commands, in one call each
+(`imuarray.analysis`); `fuse`, `simulate` and `characterise` are also packages that contain their parts.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use: `import imuarray` alone costs nothing."""
+    """Import a public name on first use, so that `import imuarray` alone is fast."""
     if name in _CALLABLE_PACKAGES:
         return import_module(f"imuarray.{name}")
     if name not in _PUBLIC:

@@ -1,7 +1,7 @@
-"""The steps of an analysis as one call each: what the commands of the same names do, from Python.
+"""The steps of an analysis as one Python call each, with the same results as the commands of the same names.
 
-Logs are given as paths or as open logs; those that are opened here are closed again. Results hold numbers with their
-uncertainties, draw themselves (`plot`, needs matplotlib) and show tables in notebooks.
+Logs are given as paths or as open logs; those that are opened here are closed again. Results contain numbers with their
+uncertainties, have a method for figures (`plot`, needs matplotlib) and are shown as tables in notebooks.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def calibrate_noise(*logs: LogLike, known: str | PathLike[str] | Calibration | N
 
 
 def calibrate_thermal(*logs: LogLike) -> ThermalResult:
-    """Determine how biases change with temperature, from logs in which the box stood still and was heated or cooled:
+    """Determine the change of biases with temperature, from logs in which the box stood still and was heated or cooled:
     `imuarray calibrate thermal`. LogError, CalibrationError.
 
     >>> slopes = calibrate_thermal("heating.h5").calibration.sensors["BMA1"].thermal
@@ -79,9 +79,9 @@ def calibrate_thermal(*logs: LogLike) -> ThermalResult:
 
 
 def calibrate_turn_on(*logs: LogLike, seed: int = 1) -> TurnOnSeries:
-    """Determine how much biases change from one switch-on to the next, from a log a run, or one log whose phases `run
-    1`, `run 2`, ... are the runs: `imuarray calibrate turn-on`. `seed` keys the draws that tell two states from chance.
-    LogError, CalibrationError.
+    """Determine the change of biases from one switch-on to the next, from one log per run, or from one log with the
+    runs as its phases `run 1`, `run 2`, ...: `imuarray calibrate turn-on`. `seed` is that of the simulated draws of the
+    test for two states. LogError, CalibrationError.
 
     >>> series = calibrate_turn_on("boot_1.h5", "boot_2.h5", "boot_3.h5")
     >>> series.calibration.sensors["Gyro1"].turn_on.runs
@@ -128,7 +128,7 @@ def characterise(
         )
 
 
-# The interface of the package, promised by name to its users: keyword-only, those of the command.
+# The public interface: keyword-only options with the names of the command's options, on which users rely.
 def fuse(  # noqa: PLR0913
     log: LogLike,
     calibration: str | PathLike[str] | Calibration | None = None,
@@ -143,10 +143,10 @@ def fuse(  # noqa: PLR0913
     (n, 3) each, in the box frame: `imuarray fuse`. The whole result is in memory.
 
     `technique` is "mean", "opposed", "planes", "ranges" or "optimal"; without a `calibration`, data-sheet values are
-    used. Biases are those of the states in which the sensors started, and follow the temperature in the log; noise that
-    the calibration lacks is measured where the log is at rest; `remarks` of the result say so. `causal`: each frame is
-    estimated from earlier readings only. `watch`: failing sensors are detected and excluded (None: with "optimal").
-    `progress` is called with the share that is done. LogError, CalibrationError, FusionError.
+    used. Biases are those of the states in which the sensors started, and follow the temperature in the log. Noise that
+    is not in the calibration is measured while the log is at rest; `remarks` of the result state this. With `causal`,
+    each frame is estimated from earlier readings only. With `watch`, failing sensors are detected and excluded (None:
+    with "optimal"). `progress` is called with the completed share. LogError, CalibrationError, FusionError.
 
     >>> fused = fuse("run.h5", "cal.toml", "optimal")
     >>> fused.specific_force.shape[1], fused.standard_error("angular_rate").shape[1]
@@ -202,7 +202,7 @@ def fuse(  # noqa: PLR0913
 
 class Conditions(TypedDict, total=False):
     """The conditions of an experiment: its length, the box axis that points up ("+Z"; static, heating), the
-    temperature, and what moves the box in "motion": "hand", "vehicle" or the path of a trajectory file.
+    temperature, and the motion of the box in "motion": "hand", "vehicle" or the path of a trajectory file.
     """
 
     seconds: float
@@ -211,7 +211,7 @@ class Conditions(TypedDict, total=False):
     drive: str
 
 
-# The interface of the package, promised by name to its users: keyword-only, those of the command.
+# The public interface: keyword-only options with the names of the command's options, on which users rely.
 def simulate(  # noqa: PLR0913
     source: str | PathLike[str] | ArrayConfig | Log,
     output: str | PathLike[str],
@@ -229,15 +229,16 @@ def simulate(  # noqa: PLR0913
     force: bool = False,
     **conditions: Unpack[Conditions],
 ) -> Log:
-    """Return a log at `output` as an array would record it, opened for reading: `imuarray simulate`.
+    """Simulate the log that an array would record, write it to `output`, and return it, opened for reading: `imuarray
+    simulate`.
 
-    `source` is an array ("martin2013", a configuration file or what `load_array` gives), or a recorded log that the
-    simulated one is to be like (an open one, or a path that ends in .h5): its sensors, times, faces and temperature.
-    `experiment` is "static", "tumble", "heating", "turn-on" (one run: `boot` numbers it from 0) or "motion". `model` is
-    a model, its file or the name of one that comes with the package ("datasheet", "martin2013"); with a `calibration`
-    units are as that found them. `effects` by sensor (of `imuarray.simulate.EFFECTS`) are added to those of the model,
-    `without` leaves effects of the model out; with `population` every unit is drawn from its design. The same `seed`
-    gives the same log; `boot` is another run of the same units. What the model leaves out is a UserWarning.
+    `source` is an array ("martin2013", a configuration file or the result of `load_array`), or a recorded log (an open
+    one, or a path that ends in .h5) with the sensors, times, faces and temperature of the simulated log. `experiment`
+    is "static", "tumble", "heating", "turn-on" (one run: `boot` numbers it from 0) or "motion". `model` is a model, its
+    file or the name of one that comes with the package ("datasheet", "martin2013"); with a `calibration`, each unit has
+    its calibrated parameters. `effects` by sensor (of `imuarray.simulate.EFFECTS`) are added to those of the model, and
+    the effects `without` are removed; with `population` every unit is drawn from its design. The same `seed` gives the
+    same log; `boot` is another run of the same units. A UserWarning states what the model omits.
 
     ConfigError, LogError, SourceError, OutputExistsError.
 
@@ -275,7 +276,7 @@ def simulate(  # noqa: PLR0913
 
 @contextmanager
 def _mistakes_as_config_errors() -> Iterator[None]:
-    """Raise the ValueError of a time, a side of the box or a seed that is not allowed as ConfigError."""
+    """Convert the ValueError for an invalid time, side of the box or seed to ConfigError."""
     try:
         yield
     except ValueError as error:
@@ -283,7 +284,7 @@ def _mistakes_as_config_errors() -> Iterator[None]:
 
 
 def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack) -> Log | None:
-    """Return the log that a simulation is to be like; None for an array."""
+    """Return the recorded log that a simulation imitates; None for an array."""
     if isinstance(source, Log):
         return source
     if isinstance(source, str | PathLike) and Path(source).suffix == ".h5":
@@ -311,9 +312,7 @@ def _array(source: str | PathLike[str] | ArrayConfig | Log, only: Collection[str
 
 
 def _experiment(experiment: str, boot: int, conditions: Conditions) -> ExperimentOptions:
-    """Return the conditions of an experiment, whose run is that of `boot` in a turn-on series; ConfigError if
-    unknown.
-    """
+    """Return the conditions of an experiment, for run `boot` of a turn-on series; ConfigError if unknown."""
     from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
     from imuarray.spelling import guess
 
@@ -359,8 +358,8 @@ def _calibration(calibration: object) -> Calibration:
 
 @contextmanager
 def _opened(call: str, logs: Sequence[LogLike]) -> Iterator[list[Log]]:
-    """Open the logs that are given as paths, and close these at the end. LogError, also if there is none or something
-    else is given; the message names the `call`.
+    """Open the logs that are given as paths, and close these at the end. LogError, also without logs or for other
+    objects; the message names the `call`.
     """
     require_logs(logs, call, or_paths=True)
     with ExitStack() as stack:

@@ -1,7 +1,6 @@
-"""The array description: which chip sits where, with which settings, pointing which way, read from a TOML file.
-
-`load_array` reads the file and refuses what is invalid; every refusal names the file, the sensor, the key and what is
-allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
+"""The array description: the place, settings and orientation of each chip, read from a TOML file. `load_array` reads
+and validates the file; every error names the file, the sensor, the key and the allowed values. Units are those of the
+data sheets (g, dps, gauss, Hz); lengths are in mm.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 SPI_DEVICE = "/dev/spidev"
 """Prefix of the device file of a chip select: /dev/spidev0.1 is controller 0, chip select 1 (LNX-50)."""
 IIO = "iio:"
-"""Prefix of a device that a driver of the kernel serves: iio:mpu6050@1-0068 is its name and its place."""
+"""Prefix of a device with a driver in the kernel: iio:mpu6050@1-0068 is its name and its place."""
 _IIO_DEVICE = re.compile(r"iio:[^\s@/]{1,64}(@[^\s@/]{1,64})?")
 
 
 class MuxConfig(BaseModel):
-    """The multiplexer of an array that drives it itself; left out where the kernel's mux driver exposes the
+    """The multiplexer of an array, if this package drives it; omitted if the kernel's mux driver exposes the
     channels.
     """
 
@@ -44,42 +43,45 @@ class MuxConfig(BaseModel):
 
 
 class SensorConfig(BaseModel):
-    """One sensor: a chip at a place, its settings and the way it points."""
+    """One sensor: a chip at a place, with its settings and its orientation."""
 
     model_config = _STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
     chip: str
-    """A chip of `imuarray.chips`; of a sensor that the kernel serves any name."""
+    """A chip of `imuarray.chips`; any name for a sensor with a driver in the kernel."""
     quantity: Literal["specific_force", "angular_rate", "magnetic_field"] | None = None
-    """The triad of a device that the kernel serves, where the chip's name leaves it open."""
+    """The triad of a device with a driver in the kernel, if the chip's name does not determine it."""
     address: int = 0
-    """Address of the chip on its I2C bus; 0 for a chip on SPI and for one that the kernel serves."""
+    """Address of the chip on its I2C bus; 0 for a chip on SPI and for one with a driver in the kernel."""
     channel: Annotated[int, Field(ge=0, le=3)] | None = None
     bus: str | None = None
     range: float | None = None
     rate_hz: float | None = None
     bandwidth_hz: float | None = None
     spi_clock_hz: Annotated[int, Field(ge=1)] | None = None
-    """Clock of a chip on SPI; the fastest that the chip bears unless told otherwise."""
+    """Clock of a chip on SPI in Hz; None: the fastest clock that the chip supports."""
     fifo: bool = False
-    """Drain the chip's own queue, or the kernel's buffer, so that every sample arrives however slowly the array is
-    polled."""
+    """Read the chip's own queue, or the kernel's buffer, so that no sample is lost even if the array is polled
+    slowly.
+    """
     high_resolution: bool = False
-    """Let the queue deliver counts of more bits, at the largest range."""
+    """Read counts of more bits from the queue, at the largest range."""
     external_clock_hz: FiniteFloat | None = None
-    """Frequency of the clock on the chip's clock input, by which it then samples; None: by its own oscillator."""
+    """Frequency in Hz of the clock at the chip's clock input, which determines its sample rate; None: its own
+    oscillator is used.
+    """
     sync_pulse: bool = False
     """Mark the samples that follow a pulse on the chip's synchronisation input."""
     trigger: str | None = None
-    """The trigger of each sample of a device that the kernel serves, where its driver has no trigger of its own."""
+    """The trigger of each sample of a device with a driver in the kernel, if that driver does not provide a trigger."""
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
     @model_validator(mode="before")
     @classmethod
     def _choose_half(cls, values: Any) -> Any:
-        """Take a range of g or of dps for the half of a six-axis chip that is meant: `chip = "mpu6050"` is either. The
-        name of a data sheet ("ICM-42688-P") is that of the chip, too.
+        """Select the half of a six-axis chip by the quantity, or by a range in g or dps: `chip = "mpu6050"` may be
+        either half. The name in the data sheet ("ICM-42688-P") is also accepted.
         """
         if (
             isinstance(values, dict)
@@ -95,7 +97,7 @@ class SensorConfig(BaseModel):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        """Refuse settings that this chip does not have, all at once."""
+        """Refuse settings that this chip does not have; the error lists all of them."""
         problems = []
         for check in (
             self._check_chip,
@@ -140,7 +142,7 @@ class SensorConfig(BaseModel):
             _one_of("address", self.address or None, spec.addresses, "#x")
 
     def _check_spi(self) -> None:
-        """Refuse on SPI what only I2C has, and the other way round."""
+        """Refuse settings of I2C on SPI, and settings of SPI on I2C."""
         spec = CHIPS.get(self.chip)
         if not self.on_spi:
             if self.spi_clock_hz is not None:
@@ -157,7 +159,9 @@ class SensorConfig(BaseModel):
             raise ValueError(f"spi_clock_hz {self.spi_clock_hz}: the {self.chip} supports up to {spec.spi.clock_hz}")
 
     def _check_iio(self) -> None:
-        """Refuse what only a device that the kernel serves has, and for such a one what the kernel sets itself."""
+        """Refuse settings that only devices with a driver in the kernel have on other devices, and settings that the
+        kernel controls on these.
+        """
         if not self.on_iio:
             for key in ("quantity", "trigger"):
                 if getattr(self, key) is not None:
@@ -245,7 +249,9 @@ class SensorConfig(BaseModel):
 
     @property
     def spec(self) -> ChipSpec:
-        """The data of this chip's data sheet; of a chip that only the kernel knows, what it measures."""
+        """The data of this chip's data sheet; for a chip that only a driver in the kernel supports, the quantity it
+        measures.
+        """
         if self.on_iio and self.chip not in CHIPS and self.quantity is not None:
             return kernel_chip(self.quantity)
         return CHIPS[self.chip]
@@ -257,8 +263,8 @@ class SensorConfig(BaseModel):
 
     @property
     def sensitivity(self) -> float:
-        """Typical counts per unit at the configured range; 0 for a chip that has no range, and where only the kernel
-        knows.
+        """Typical counts per unit at the configured range; 0 for a chip without ranges, and if only the kernel has the
+        scale.
         """
         if self.on_iio:
             return 0.0 if self.range is None else self.spec.sensitivity.get(self.range, 0.0)
@@ -275,12 +281,14 @@ class SensorConfig(BaseModel):
 
     @property
     def nominal_rate_hz(self) -> float:
-        """The chip's update rate in Hz by its registers, its clock being at the nominal frequency."""
+        """The chip's update rate in Hz according to its registers, with its clock at the nominal frequency."""
         return self.spec.rate_hz(self.rate_hz)
 
     @property
     def chip_rate_hz(self) -> float:
-        """The chip's own update rate in Hz under this configuration; it is proportional to an external clock."""
+        """The chip's own update rate in Hz with this configuration; it is proportional to the frequency of an external
+        clock.
+        """
         clock = None if self.external_clock_hz is None else self.spec.external_clock(self.external_clock_hz)
         if self.external_clock_hz is None or clock is None:
             return self.nominal_rate_hz
@@ -288,12 +296,12 @@ class SensorConfig(BaseModel):
 
     @property
     def marks_pulses(self) -> bool:
-        """True if the sensor's samples that follow a synchronisation pulse are marked."""
+        """True if the chip marks the sensor's samples that follow a synchronisation pulse."""
         return self.sync_pulse and self.spec.pulse_input is not None and self.spec.pulse_input.is_marked
 
     @property
     def chip_bandwidth_hz(self) -> float:
-        """-3 dB bandwidth in Hz; 0 where the data sheet names none that can be set, or the kernel sets it."""
+        """-3 dB bandwidth in Hz; 0 if the data sheet has no bandwidth that can be set, or if the kernel sets it."""
         if self.on_iio:
             return self.bandwidth_hz or 0.0
         allowed, default = self.spec.allowed_bandwidths_hz(self.nominal_rate_hz), self.spec.default_bandwidth_hz
@@ -301,7 +309,9 @@ class SensorConfig(BaseModel):
 
     @property
     def delay_ns(self) -> int | None:
-        """Delay of the signal in the chip's filter; None where no data sheet says it, or the kernel sets the filter."""
+        """Delay of the signal in the chip's filter; None if no data sheet states it, or if the kernel sets the
+        filter.
+        """
         delay_s = None if self.on_iio else self.spec.delays_s.get(self.chip_bandwidth_hz)
         return None if delay_s is None else round(delay_s * 1e9)
 
@@ -312,17 +322,17 @@ class SensorConfig(BaseModel):
 
     @property
     def on_i2c(self) -> bool:
-        """True if it is spoken to over I2C."""
+        """True if the chip is connected by I2C."""
         return not self.on_spi and not self.on_iio
 
     @property
     def on_iio(self) -> bool:
-        """True if a driver of the kernel serves it."""
+        """True if the sensor is read through a driver in the kernel."""
         return self.bus is not None and self.bus.startswith(IIO)
 
     @property
     def estimates_times(self) -> bool:
-        """True if the times of its rows are estimated from counts of its queue."""
+        """True if the times of its rows are estimated from the number of samples in its queue."""
         return self.fifo and not self.on_iio
 
     @property
@@ -360,8 +370,8 @@ class _ArrayFile(BaseModel):
 
 
 class ArrayConfig(BaseModel):
-    """An array: its name, its bus (a URL, or None: say it on the command line), its mux and its sensors in file
-    order.
+    """An array: its name, its bus (a URL, or None: it must be given on the command line), its mux and its sensors in
+    file order.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -370,18 +380,20 @@ class ArrayConfig(BaseModel):
     mux: MuxConfig | None
     sensors: tuple[SensorConfig, ...]
     text: str = ""
-    """The TOML text, kept in every log."""
+    """The TOML text, which every log stores."""
 
     def __repr__(self) -> str:
         return f"<ArrayConfig {self.name}: {', '.join(sensor.name for sensor in self.sensors)}>"
 
     def __getitem__(self, name: str) -> SensorConfig:
-        """The sensor of that name; KeyError when there is none."""
+        """The sensor of that name; KeyError if unknown."""
         return {sensor.name: sensor for sensor in self.sensors}[name]
 
     @property
     def sensitivities(self) -> dict[str, Mapping[float, float]]:
-        """Counts per unit by range of each sensor's chip, by sensor; of chips that have ranges to set."""
+        """Counts per unit by range of each sensor's chip, by sensor; only for chips with ranges, and not with
+        `high_resolution`.
+        """
         return {
             sensor.name: sensor.spec.sensitivity
             for sensor in self.sensors
@@ -400,8 +412,8 @@ class ArrayConfig(BaseModel):
 
 
 def load_array(path: str | PathLike[str]) -> ArrayConfig:
-    """Read an array's TOML file, or the one of that name that comes with the package; ConfigError names file and line
-    of every mistake in it.
+    """Read an array's TOML file, or the file of that name in the package; ConfigError names file and line of every
+    mistake in it.
 
     >>> array = load_array("martin2013")
     >>> len(array.sensors), array.sensors[0].chip
@@ -412,7 +424,7 @@ def load_array(path: str | PathLike[str]) -> ArrayConfig:
 
 
 def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
-    """Return an array from TOML text; `where` stands at the head of every message."""
+    """Return an array from TOML text; every error message begins with `where`."""
     file = parse_toml(text, _ArrayFile, where)
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
@@ -423,8 +435,8 @@ def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
 
 
 def recorded_sensors(text: str) -> Mapping[str, SensorConfig]:
-    """Return the sensors of the configuration that a log carries, by name: none where it is missing or another
-    program's, whose keys and chips may be others.
+    """Return the sensors of the configuration in a log, by name; empty if it is missing or was written by another
+    program, because that may have other keys and chips.
     """
     try:
         return {sensor.name: sensor for sensor in parse_array(text).sensors} if text else {}
@@ -433,7 +445,7 @@ def recorded_sensors(text: str) -> Mapping[str, SensorConfig]:
 
 
 def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str, when: str = "") -> None:
-    """ValueError unless `value` is one of `allowed`; says what is, and `when`."""
+    """Raise ValueError unless `value` is one of `allowed`; the message lists these, followed by `when`."""
     if value in allowed:
         return
     problem = "is missing" if value is None else f"{value:{style}}"
@@ -446,7 +458,9 @@ def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: st
 
 
 def _place_mistakes(array: ArrayConfig) -> Iterator[Mistake]:
-    """Two sensors with one name or in one place, channels without a mux, and whatever the mux's own address hides."""
+    """Yield mistakes of names and places: two sensors with one name or in one place, channels without a mux, and
+    addresses that conflict with the mux.
+    """
     for name, count in Counter(sensor.name for sensor in array.sensors).items():
         if count > 1:
             last = max(index for index, sensor in enumerate(array.sensors) if sensor.name == name)
@@ -474,8 +488,8 @@ def _place_mistakes(array: ArrayConfig) -> Iterator[Mistake]:
 def _against_device(
     first: SensorConfig, second: SensorConfig, members: Sequence[SensorConfig]
 ) -> Iterator[_KeyMistake]:
-    """Mistakes of a sensor of a kernel device that has others before it (`members`, with it): other settings of the
-    device, or a triad that is there already.
+    """Yield mistakes of a sensor of a kernel device with other sensors before it (`members`, which include this one):
+    different settings of the device, or a triad that occurs twice.
     """
     for key in ("rate_hz", "fifo", "trigger"):
         if getattr(first, key) != getattr(second, key):
@@ -486,7 +500,7 @@ def _against_device(
 
 
 _KeyMistake = tuple[str, str]
-"""A key of a sensor's table, and the complaint about it."""
+"""A key of a sensor's table, and the error message about it."""
 
 
 def _choice(words: Iterable[str]) -> str:
@@ -498,8 +512,9 @@ _OF_DIE = ("axes", "position_mm", "fifo", "high_resolution", "external_clock_hz"
 
 
 def _against_half(first: SensorConfig, second: SensorConfig, paired: list[str]) -> Iterator[_KeyMistake]:
-    """Mistakes of two sensors in one place, unless they are the two halves of one chip, which share place, direction,
-    data rate and filter; `paired` lists the chips of that place so far, and grows.
+    """Yield mistakes of two sensors in one place, unless they are the two halves of one chip, which have the same
+    place, orientation, data rate and filter. `paired` lists the chips of that place so far; the second chip is
+    appended.
     """
     pair = f"sensors {first.name!r} and {second.name!r}"
     if die_of(first.chip) != die_of(second.chip) or second.chip in paired:
@@ -527,7 +542,9 @@ def _against_half(first: SensorConfig, second: SensorConfig, paired: list[str]) 
 
 
 def _against_trunk(array: ArrayConfig, sensor: SensorConfig) -> Iterator[str]:
-    """Complaints about addresses of chips upstream of the mux, which answer on every channel too (PCA-10, PCA-11)."""
+    """Yield error messages about addresses of chips upstream of the mux, which also answer on every channel (PCA-10,
+    PCA-11).
+    """
     if array.mux is None or sensor.bus is not None:
         return
     if sensor.address == array.mux.address:

@@ -1,4 +1,4 @@
-"""Array types by what their elements are. Docstrings give the shapes, units and frames."""
+"""Array types by the type of their elements. Docstrings give the shapes, units and frames."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Atomic output: a file is written under a temporary name next to its own, and renamed when it is complete.
 
-Any failure, a full disk above all, leaves no partial file behind, and an older file of that name as it was.
+After any failure, for example a full disk, there is no partial file, and an older file of that name is unchanged.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ if TYPE_CHECKING:
 
 @contextmanager
 def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Path]:
-    """The path to write to: the file takes its name when the block ends well, else it is gone.
+    """Yield the path to write to. The file is renamed to its final name if the block ends without an error, and
+    otherwise deleted.
 
-    OutputExistsError if it is there and `force` is false, OutputError where it can't be written. What is no file (a
-    device, a pipe) is written to as it is.
+    OutputExistsError if the file exists and `force` is false, OutputError if it can't be written. A device or a pipe is
+    written to directly.
     """
-    target = Path(os.path.realpath(path))  # a link stays one
+    target = Path(os.path.realpath(path))  # a link is kept, and its target replaced
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         exists = target.exists()
@@ -43,7 +44,7 @@ def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Pa
         _sync(draft)
         draft.replace(target)
     except (OSError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and not errno_of(error):  # HDF5 may tell a failed write by one
+        if isinstance(error, RuntimeError) and not errno_of(error):  # HDF5 reports some failed writes by one
             raise
         raise OutputError(path, error) from None
     finally:
@@ -52,7 +53,7 @@ def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Pa
 
 
 def write_text(path: str | PathLike[str], text: str, *, force: bool = False) -> None:
-    """Write a file of text, UTF-8, in which the names of files may stand that are no text (`encodable`); errors as
+    """Write a text file in UTF-8; the text may include file names with undecodable bytes (`encodable`). Errors as for
     `whole_file`.
     """
     with whole_file(path, force=force) as draft:
@@ -69,15 +70,17 @@ def save_figure(path: str | PathLike[str], figure: Figure, **options: Any) -> No
 
 
 _PNG_LEVEL = 1
-"""Compression of zlib: the usual level 6 takes a fifth of the time of a figure and saves a third of its file."""
+"""Compression level of zlib. The usual level 6 takes a fifth of the time of a figure; the file is then a third
+smaller.
+"""
 
 
 _SVG_DPI = 72
 
 
 def draw_figure(target: str | PathLike[str] | BytesIO, figure: Figure, **options: Any) -> None:
-    """`figure.savefig`, with the parts of the figure laid out once: Matplotlib lays them out twice and goes through all
-    that is drawn beforehand, which takes as long again as drawing.
+    """Save a figure like `figure.savefig`, but lay out its parts only once. Matplotlib lays them out twice and inspects
+    all artists beforehand, which takes as long as drawing.
     """
     engine, dpi = figure.get_layout_engine(), figure.dpi
     if engine is None or not figure.axes:
@@ -95,6 +98,8 @@ def draw_figure(target: str | PathLike[str] | BytesIO, figure: Figure, **options
 
 
 def _sync(path: Path) -> None:
-    """Write the file to the disk before returning: a power cut leaves the old file or the new one. OSError."""
+    """Write the file to the disk before returning, so that either the old or the new file exists after a power cut.
+    OSError.
+    """
     with path.open("rb") as file:
         os.fsync(file.fileno())

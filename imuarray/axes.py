@@ -1,4 +1,4 @@
-"""Signed axes: which box axis each axis of a sensor points along, as text ("+Y+X-Z") and as a rotation matrix.
+"""Signed axes: the box axis along which each axis of a sensor points, as text ("+Y+X-Z") and as a rotation matrix.
 
 Frames: ``box`` is the cuboid box, ``sensor`` the chip's own; ``vector_box = orientation @ vector_sensor``.
 """
@@ -11,17 +11,15 @@ from functools import cache
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
-"""The six ways a box can stand on a table: the box axis that points up."""
+"""The six orientations of a box on a table: the box axis that points up."""
 
 AXES = re.compile(r"([+-])([XYZ])" * 3)
 
 
 @cache
 def orientation_of(axes: str) -> Matrix:
-    """Return the rotation that an axes text names: column k is the box axis along which the sensor's axis k points.
-
-    ValueError when the text is not three signed axes, when an axis comes twice, or when the triad is left-handed (no
-    chip is).
+    """Return the rotation of an axes text: column k is the box axis along which the sensor's axis k points. ValueError
+    if the text is not three signed axes, if an axis occurs twice, or if the triad is left-handed, which no chip is.
     """
     match = AXES.fullmatch(axes)
     if match is None:

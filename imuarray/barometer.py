@@ -1,8 +1,7 @@
-"""The arithmetic of the barometers: from raw words to degrees and pascals, and back. Bosch data sheets; facts BMP-*.
-
-Integers as the data sheets have them, with floor division throughout, which reproduces every printed intermediate value
-of the BMP180 (BMP-64) and the BMP280's fine temperature (BMP-121). `words` are the calibration words of one part, by
-name. `BAROMETERS` has the arithmetic of each chip by its name.
+"""The arithmetic of the barometers: from raw words to degrees and pascals, and back. Bosch data sheets; facts BMP-*. It
+uses the integers of the data sheets, with floor division throughout, and reproduces every printed intermediate value of
+the BMP180 (BMP-64) and the BMP280's fine temperature (BMP-121). `words` are the calibration words of one part, by name.
+`BAROMETERS` has the arithmetic of each chip by its name.
 """
 
 from __future__ import annotations
@@ -77,11 +76,11 @@ _SIXTEENTHS = 160
 
 
 class Barometer(NamedTuple):
-    """The arithmetic of one chip, as its driver sets it.
+    """The arithmetic of one chip with the settings of its driver.
 
     `words`: the part of the data sheet's example; `noise_pa`: typical rms noise of the pressure; `compensate` and
-    `uncompensated`: from raw words UT and UP (n,) to degC and Pa (n,) by the part's words, and back; `settings`: what
-    the driver notes in a log beside the words.
+    `uncompensated`: from raw words UT and UP (n,) to degC and Pa (n,) by the part's words, and back; `settings`: the
+    settings that the driver stores in a log with the words.
     """
 
     words: Words
@@ -103,7 +102,7 @@ def compensate(ut: Integers, up: Integers, words: Words, oversampling: int) -> t
 def uncompensated(
     temperature_degc: Floats, pressure_pa: Floats, words: Words, oversampling: int
 ) -> tuple[Integers, Integers]:
-    """Return the raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    """Return the lowest raw words UT (n,) and UP (n,) whose compensation reaches these temperatures and pressures, by
     bisection: both rise with their word.
     """
     coldest = words["AC6"] - words["MD"] * 32768 // words["AC5"] + 2  # below it the divisor of BMP-60 is not positive
@@ -119,12 +118,12 @@ def uncompensated(
 def _b5(ut: Integers, words: Words) -> Integers:
     x1 = (ut - words["AC6"]) * words["AC5"] >> 15
     divisor = x1 + words["MD"]
-    x2 = (words["MC"] << 11) // np.where(divisor == 0, 1, divisor)  # a nonsense UT must not end the log: BMP-66
+    x2 = (words["MC"] << 11) // np.where(divisor == 0, 1, divisor)  # an invalid UT must not end the log: BMP-66
     return np.asarray(x1 + x2)
 
 
 def _offset(b5: Integers, words: Words, oversampling: int) -> tuple[Integers, Integers]:
-    """B3 and the square term that B4 needs too."""
+    """Return B3, and the square term that is also part of B4."""
     b6 = b5 - 4000
     square = b6 * b6 >> 12
     b3 = (((words["AC1"] * 4 + (words["B2"] * square >> 11) + (words["AC2"] * b6 >> 11)) << oversampling) + 2) >> 2
@@ -166,7 +165,7 @@ def compensate_bmp280(ut: Integers, up: Integers, words: Words) -> tuple[Floats,
 
 
 def uncompensated_bmp280(temperature_degc: Floats, pressure_pa: Floats, words: Words) -> tuple[Integers, Integers]:
-    """Return the raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    """Return the lowest raw words UT (n,) and UP (n,) whose compensation reaches these temperatures and pressures, by
     bisection: the temperature rises with its word, the pressure falls.
     """
     highest = (1 << _WORD_BITS) - 1
@@ -177,14 +176,14 @@ def uncompensated_bmp280(temperature_degc: Floats, pressure_pa: Floats, words: W
 
 
 def fine_temperature_bmp280(ut: Integers, words: Words) -> Integers:
-    """Return the temperature (n,) in 5120ths of a degC, which the pressure needs too (BMP-121)."""
+    """Return the temperature (n,) in 5120ths of a degC, which is also used for the pressure (BMP-121)."""
     linear = ((ut >> 3) - (words["T1"] << 1)) * words["T2"] >> 11
     difference = (ut >> 4) - words["T1"]
     return np.asarray(linear + ((difference * difference >> 12) * words["T3"] >> 14))
 
 
 def pressure_bmp280(up: Integers, fine: Integers, words: Words) -> Integers:
-    """Return the pressure (n,) in 256ths of a Pa by the formula for 64 bits, 0 where it would divide by 0 (BMP-122)."""
+    """Return the pressure (n,) in 256ths of a Pa by the formula for 64 bits, 0 if the divisor is 0 (BMP-122)."""
     a = np.asarray(fine, np.int64) - 128000
     b = a * a * words["P6"] + (a * words["P5"] << 17) + (words["P4"] << 35)
     a = (a * a * words["P3"] >> 8) + (a * words["P2"] << 12)
@@ -209,7 +208,7 @@ def compensate_bmp388(ut: Integers, up: Integers, words: Words) -> tuple[Floats,
 
 
 def uncompensated_bmp388(temperature_degc: Floats, pressure_pa: Floats, words: Words) -> tuple[Integers, Integers]:
-    """Return the raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    """Return the lowest raw words UT (n,) and UP (n,) whose compensation reaches these temperatures and pressures, by
     bisection: the temperature rises with its word, the pressure falls.
     """
     highest = (1 << _RAW_BITS_BMP388) - 1
@@ -220,13 +219,13 @@ def uncompensated_bmp388(temperature_degc: Floats, pressure_pa: Floats, words: W
 
 
 def fine_temperature_bmp388(ut: Integers, words: Words) -> Integers:
-    """Return the temperature (n,) in 65536ths of a degC, which the pressure needs too (BMP-221)."""
+    """Return the temperature (n,) in 65536ths of a degC, which is also used for the pressure (BMP-221)."""
     difference = np.asarray(ut, np.int64) - 256 * words["T1"]
     return _quotient(words["T2"] * difference * 262144 + difference * difference * words["T3"], 1 << 32)
 
 
 def pressure_bmp388(up: Integers, fine: Integers, words: Words) -> Integers:
-    """Return the pressure (n,) in hundredths of a Pa, 0 where it would be negative (BMP-221)."""
+    """Return the pressure (n,) in hundredths of a Pa, 0 if the result is negative (BMP-221)."""
     up = np.asarray(up, np.int64)
     square = fine * fine
     cube = _quotient(_quotient(square, 64) * fine, 256)
@@ -243,7 +242,7 @@ def pressure_bmp388(up: Integers, fine: Integers, words: Words) -> Integers:
 
 
 def _quotient(numerator: Integers, divisor: int) -> Integers:
-    """Division as C does it, which drops what is behind the point."""
+    """Return the quotient rounded towards zero, as in C."""
     return np.where(numerator < 0, -(-numerator // divisor), numerator // divisor)
 
 

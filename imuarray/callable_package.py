@@ -1,8 +1,7 @@
-"""Packages whose names are loaded on first use, and packages that are also the function of their name:
-`imuarray.fuse(log)` beside `from imuarray.fuse import Watch`.
-
-Importing a package sets its name in `imuarray`, where it would hide a function of that name. A module may have a class
-of its own (Python Language Reference, 3.3.2.1).
+"""Packages with names that are loaded on first use, and packages that can also be called as a function of the same
+name: `imuarray.fuse(log)` as well as `from imuarray.fuse import Watch`. The import of a package sets its name in
+`imuarray`, where it would hide a function of that name. The package is therefore given a callable class, which Python
+allows for modules (Python Language Reference, 3.3.2.1).
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ class CallablePackage(ModuleType):
 
 
 def public_name(package: str, modules: Mapping[str, str], name: str) -> Any:
-    """Import a public name of a package on first use, from the module for which `modules` lists it, between spaces;
-    AttributeError.
+    """Import a public name of a package on first use, from the module for which `modules` lists it (names separated by
+    spaces); AttributeError if unknown.
     """
     for module, names in modules.items():
         if name in names.split():
@@ -41,5 +40,5 @@ def public_name(package: str, modules: Mapping[str, str], name: str) -> Any:
 
 
 def make_callable(package: str) -> None:
-    """Make a package that is being imported the function of its name."""
+    """Make a package callable while it is imported."""
     sys.modules[package].__class__ = CallablePackage

@@ -1,8 +1,8 @@
-"""Settings of each chip and the nominal meaning of one count: shared by configuration, drivers and models.
+"""Settings of each chip and the nominal scale of its counts, shared by configuration, drivers and models.
 
-Sensitivities are the data sheets' typical values in counts per unit, never a range divided by a word length, and never
-the rounded reciprocals that some tables print beside them (BMA-78, L3G-43). The actual sensitivity of a sensor is
-measured by `calibrate`.
+Sensitivities are the data sheets' typical values in counts per unit, not a range divided by a word length, and not the
+rounded reciprocals that some tables also print (BMA-78, L3G-43). The actual sensitivity of a sensor is measured by
+`calibrate`.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from imuarray.units import UNIT_OF, Quantity
 class SpiRules:
     """A chip's SPI protocol. The first byte is a register's address, with bit 7 set to read.
 
-    `clock_hz`: the fastest clock that all its registers bear. `count_on`: the bit that a transfer of several bytes
-    needs (0: none). `address_bits`: those of the first byte that are the address. `mode`: clock polarity and phase, 0
-    to 3.
+    `clock_hz`: the fastest clock for all its registers. `count_on`: the bit that is set for a transfer of several bytes
+    (0: none). `address_bits`: the bits of the first byte that are the address. `mode`: clock polarity and phase, 0 to
+    3.
     """
 
     clock_hz: int
@@ -51,8 +51,8 @@ class SpiRules:
 
 @dataclass(frozen=True)
 class HighResolution:
-    """Samples of a chip's queue with `high_resolution = true`: at this `range` alone, with `sensitivity` counts per
-    unit and `count_bits` bits each.
+    """Samples of a chip's queue with `high_resolution = true`: only at this `range`, with `sensitivity` counts per unit
+    and `count_bits` bits each.
     """
 
     range: float
@@ -62,8 +62,8 @@ class HighResolution:
 
 @dataclass(frozen=True)
 class ExternalClock:
-    """Clock input of a chip: the frequencies (least, greatest) that it takes, and the one at which its data rates are
-    as its registers say.
+    """Clock input of a chip: the lowest and highest allowed frequency, and the frequency at which its data rates are
+    the nominal ones of its registers.
     """
 
     allowed_hz: tuple[float, float]
@@ -74,10 +74,10 @@ class ExternalClock:
 class PulseInput:
     """Input for synchronisation pulses, which mark the next sample.
 
-    `is_marked`: the sensor's own samples are marked; otherwise those of the other half of the chip alone.
-    `resolution_s`: resolution of the time from the pulse to that sample, of a chip that measures it; 0 for one that
-    marks the sample only. `least_rate_hz`: the lowest data rate at which the chip can do so. `is_on_clock_pin`: pulses
-    and an external clock use the same pin.
+    `is_marked`: the sensor's own samples are marked; otherwise only those of the other half of the chip.
+    `resolution_s`: resolution of the measured time from the pulse to that sample; 0 for a chip that marks the sample
+    only. `least_rate_hz`: the lowest data rate at which the chip can do so. `is_on_clock_pin`: pulses and an external
+    clock use the same pin.
     """
 
     resolution_s: float = 0.0
@@ -87,20 +87,21 @@ class PulseInput:
 
     def error_s(self, rate_hz: float) -> float:
         """Return the largest error of the time from a pulse to the next sample at this data rate, with an oscillator
-        that is up to one percent off: a hundredth of the period beside the resolution, or half the period.
+        that is up to one percent off: half the resolution plus a hundredth of the period if the chip measures this
+        time, otherwise 0.505 periods.
         """
         return self.resolution_s / 2 + 0.01 / rate_hz if self.resolution_s else 0.505 / rate_hz
 
 
 @dataclass(frozen=True)
 class ChipSpec:
-    """The settings of one chip that a configuration may name.
+    """The settings of one chip that a configuration may state.
 
-    `sensitivity`: counts per `unit` for each measuring range (in `unit`); empty for a chip without ranges.
-    `rates_hz`: data rates that its registers can set (empty: it has one rate of its own, `fixed_rate_hz`).
-    `bandwidths_hz`: -3 dB bandwidths for each data rate (key 0.0: whatever the rate); empty where it can't be set.
-    `identity`: the register, with its value, that tells the chip from others at its `addresses`. `label`: the name of a
-    sensor of this chip, by number. `burst_bytes`: length of one reading (0: more than one transaction).
+    `sensitivity`: counts per `unit` for each measuring range (in `unit`); empty for a chip without ranges. `rates_hz`:
+    data rates that its registers can set (empty: its only rate is `fixed_rate_hz`). `bandwidths_hz`: -3 dB bandwidths
+    for each data rate (key 0.0: for every rate); empty if it can't be set. `identity`: the register, with its value,
+    that distinguishes the chip from others at its `addresses`. `label`: the name of a sensor of this chip, by number.
+    `burst_bytes`: length of one reading (0: more than one transaction).
     """
 
     quantity: Quantity
@@ -115,27 +116,27 @@ class ChipSpec:
     bandwidths_hz: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
     default_bandwidth_hz: float = 0.0
     delays_s: Mapping[float, float] = field(default_factory=dict)
-    """By how much the filter delays the signal, by bandwidth; empty where no data sheet says it."""
+    """Delay of the signal in the filter in s, by bandwidth; empty if no data sheet states it."""
     has_fifo: bool = False
     count_bits: int = 16
     """Bits of each axis's counts in a log; with more than 16 the driver decodes to int32, as the log stores them."""
     fifo_has_temperature: bool = False
     high_resolution: HighResolution | None = None
-    """None: its queue has no packets of more bits."""
+    """Samples of more bits in its queue; None if it has none."""
     external_clocks: tuple[ExternalClock, ...] = ()
-    """Empty: it has no clock input that is supported."""
+    """Ranges of its clock input; empty if it has no supported clock input."""
     pulse_input: PulseInput | None = None
-    """None: it has no input for synchronisation pulses."""
+    """Its input for synchronisation pulses; None if it has none."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
-    """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
+    """Longest times in s of the conversions of one reading, for a chip that converts only on request."""
     spi: SpiRules | None = None
-    """None: it has no SPI."""
+    """Its SPI protocol; None if it has no SPI."""
     proposed: Mapping[str, Any] = field(default_factory=dict)
-    """Settings that a hand-held or driven box can live with."""
+    """Settings that suit a box that is held by hand or carried in a vehicle."""
 
     def external_clock(self, frequency_hz: float) -> ExternalClock | None:
-        """Return the clock input that takes this frequency."""
+        """Return the clock input that allows this frequency; None without one."""
         for clock in self.external_clocks:
             lowest, highest = clock.allowed_hz
             if lowest <= frequency_hz <= highest:
@@ -144,12 +145,12 @@ class ChipSpec:
 
     @property
     def unit(self) -> str:
-        """The unit of its ranges and of what its sensitivity counts."""
+        """The unit of its ranges and of its sensitivity (counts per unit)."""
         return UNIT_OF[self.quantity]
 
     @property
     def on_demand(self) -> bool:
-        """True if it converts only when asked; its driver keeps the pace."""
+        """True if it converts only on request, so that its driver sets the rate."""
         return bool(self.conversions_s)
 
     @property
@@ -158,7 +159,7 @@ class ChipSpec:
         return self.thermometer is not None
 
     def rate_hz(self, asked: float | None) -> float:
-        """Return the chip's own update rate under a configuration that asks for `asked` (None: not said)."""
+        """Return the chip's own update rate with a configuration that requests `asked` (None: the default)."""
         return self.fixed_rate_hz or asked or self.default_rate_hz
 
     def allowed_bandwidths_hz(self, rate_hz: float) -> tuple[float, ...]:
@@ -169,14 +170,14 @@ class ChipSpec:
 _ADXL345_RATES_HZ = tuple(3200.0 / 2**octave for octave in range(16))  # exact powers of two: ADX-36
 
 _MPU6050_RATES_HZ = tuple(1000.0 / divider for divider in (1, 2, 4, 5, 8, 10, 16, 20, 25, 40, 50, 100, 125, 200, 250))
-"""1 kHz over whole numbers up to 256 (INV-11), of which these give whole or short figures."""
+"""1 kHz divided by whole numbers of at most 256 (INV-11); these divisors give rates with few digits."""
 
 _MPU_PULSES = PulseInput()  # INV-38
 _ICM42688_PULSES = PulseInput(1e-6, 25.0, is_on_clock_pin=True)  # TDK-24, TDK-90: 16 bits of microseconds
 
 
 def _gyroscope_of(accelerometer: ChipSpec, **own: Any) -> ChipSpec:
-    """Return the gyroscope of a die: its accelerometer, but for the fields `own`."""
+    """Return the gyroscope of a die: the data of its accelerometer, with the fields `own` replaced."""
     return replace(accelerometer, quantity="angular_rate", label="IMU{}_gyro", **own)
 
 
@@ -515,12 +516,12 @@ HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 _SOLD_AS: Mapping[str, str] = MappingProxyType({"icm42688p": "icm42688", "mmc5983ma": "mmc5983"})
-"""Names of data sheets with the letters of a package or a variant."""
+"""Chips by their names in data sheets that include the letters of a package or a variant."""
 
 
 def chip_of(name: str) -> str:
-    """Return the name of a chip as configurations write it, for that of its data sheet ("ICM-42688-P"); others as they
-    are.
+    """Return the name of a chip in configurations for its name in the data sheet ("ICM-42688-P"); other names are
+    unchanged.
     """
     plain = name.lower().replace("-", "").replace(" ", "")
     plain = _SOLD_AS.get(plain, plain)
@@ -528,25 +529,23 @@ def chip_of(name: str) -> str:
 
 
 def kernel_chip(quantity: Quantity) -> ChipSpec:
-    """Return the data of a chip that only a driver of the kernel knows: what it measures, and nothing that could
-    be set.
-    """
+    """Return the data of a chip that only a driver in the kernel supports: its quantity, and no settings."""
     return ChipSpec(
         quantity=quantity,
         addresses=(),
-        identity=Register(0x00, "r"),  # of a chip whose registers nobody reads
+        identity=Register(0x00, "r"),  # not used: the registers of this chip are not read
         label="IIO{}",
         burst_bytes=0,
     )
 
 
 def die_of(chip: str) -> str:
-    """Return the name of the die of which `chip` is a half; `chip` itself if it is a whole die."""
+    """Return the name of the die that `chip` is a half of; `chip` itself if it is a whole die."""
     return next((die for die, halves in HALVES.items() if chip in halves), chip)
 
 
 def half_of(die: str, full_scale: object) -> str:
-    """Return the half of `die` that has this range (in g or dps, of which no figure is in both); `die` where none
-    has.
+    """Return the half of `die` that has this range (in g or dps; no number is a range of both halves); `die` if neither
+    has it.
     """
     return next((half for half in HALVES.get(die, ()) if full_scale in CHIPS[half].sensitivity), die)

@@ -1,4 +1,6 @@
-"""The command line: one small file a command in `imuarray.commands`, loaded only when it is called."""
+"""The command line: each command is a module of `imuarray.commands`, which is imported only when the command is
+called.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "completion": "print a script that lets a shell complete commands, options and file names",
     }
 )
-"""Every command and the line that `--help` shows; the module `imuarray.commands.<name>` holds it as `command`."""
+"""Every command and its line in `--help`; the command is `command` in the module `imuarray.commands.<name>`."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Environment variables that set the number of threads of linear algebra libraries.
@@ -125,14 +127,15 @@ def program(context: click.Context) -> None:
 _COLLECTED = 20_000
 """New objects after which Python looks for unused cycles of objects, instead of 700.
 
-Imports make a hundred thousand objects that stay; looking through them takes up to 7 % of a short command.
+Imports create a hundred thousand permanent objects; the search through them takes up to 7 % of the time of a short
+command.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; what it returns is the exit code."""
+    """Run the command line and return the exit code."""
     gc.set_threshold(_COLLECTED)
-    atexit.register(gc.freeze)  # the end of the process does not look through objects that it frees anyway
+    atexit.register(gc.freeze)  # no search for cycles at the end of the process, which frees all objects anyway
     keep_freed_memory()
     for name in _THREADS:
         os.environ.setdefault(name, "1")

@@ -1,6 +1,5 @@
-"""Time is an argument: integer nanoseconds of a clock that never steps back.
-
-`MonotonicClock` is the machine's; an emulated bus brings its own, which bus traffic and sleeping advance.
+"""Clocks, which are arguments of other functions: integer nanoseconds that never step back. `MonotonicClock` is the
+clock of the machine; an emulated bus has its own clock, which advances by bus traffic and by sleeping.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ class Clock(Protocol):
         """Nanoseconds since an arbitrary start; never decreases."""
 
     def sleep_until(self, at_ns: int) -> None:
-        """Return when `now_ns()` has reached `at_ns`; at once if it has already."""
+        """Return when `now_ns()` has reached `at_ns`; immediately if it already has."""
 
 
 class MonotonicClock:
     """CLOCK_MONOTONIC of this machine."""
 
     def now_ns(self) -> int:
-        """Nanoseconds since boot, or thereabouts."""
+        """Nanoseconds since about the boot of the machine."""
         return time.monotonic_ns()
 
     def sleep_until(self, at_ns: int) -> None:
@@ -34,5 +33,5 @@ class MonotonicClock:
 
 
 def sleep_for(clock: Clock, seconds: float) -> None:
-    """Let `seconds` pass on `clock`: chips need time after a reset or a power-up."""
+    """Sleep for `seconds` on `clock`: chips need time after a reset or a power-up."""
     clock.sleep_until(clock.now_ns() + round(seconds * 1e9))

@@ -2,25 +2,24 @@
 
 ::
 
-    ImuArrayError                 one line for a person; the command line turns it into its exit code (2)
-    +-- ConfigError               a TOML file says something impossible: names the file, the key, what is allowed
-    +-- BusUrlError               a bus URL that names no bus, or one that can't be opened here
+    ImuArrayError                 a message of one line; the exit code of the command line is 2
+    +-- ConfigError               an invalid TOML file: states the file, the key and the allowed values
+    +-- BusUrlError               a URL of an unknown bus, or a bus that can't be opened here
     +-- SensorError               a chip that is missing, wrong, or does not keep what was written to it
-    +-- LogError                  a log that is missing, foreign, truncated, hostile or malformed
-    |   +-- LogBusyError          a log that is being written by somebody else
+    +-- LogError                  a log that is missing, foreign, truncated, malicious or malformed
+    |   +-- LogBusyError          a log that another process is writing
     |   +-- DiskFullError         no space left: the log was ended and contains all acknowledged rows; exit code 3
-    +-- SourceError               a foreign recording that `import` can't read: names the file and the row
-    +-- CalibrationError          data from which the wanted parameters can't be had, or a bad calibration file
-    +-- FusionError               a technique that this array or this log can't feed
-    +-- ExportError               an export into a format or in units that there are none of: names those that there are
+    +-- SourceError               a foreign recording that `import` can't read: states the file and the row
+    +-- CalibrationError          data that do not determine the parameters, or an invalid calibration file
+    +-- FusionError               a technique that has too few sensors or data in this log
+    +-- ExportError               an unknown format or unit of an export: states the known ones
     +-- OutputExistsError         a file that would be overwritten (`--force` allows it)
     +-- OutputError               a file that can't be written; exit code 3 if the disk is full
     +-- MissingExtraError         an optional package that a command needs is not installed
 
-A log that is read although something in it is damaged or lost gives a `LogWarning`.
-
-A bus itself speaks `OSError` with the errno that Linux would give: 6 (ENXIO) or 121 (EREMOTEIO) for an address that
-nobody acknowledges, 110 (ETIMEDOUT) for a clock held too long (LNX-40 ... LNX-49).
+A log that is read although a part of it is damaged or lost gives a `LogWarning`. A bus raises `OSError` with the errno
+of Linux: 6 (ENXIO) or 121 (EREMOTEIO) for an address that no chip acknowledges, 110 (ETIMEDOUT) for a clock that is
+held low too long (LNX-40 ... LNX-49).
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ _HDF5_ERRNO = re.compile(r"errno = (\d+)")
 
 
 def errno_of(error: Exception) -> int:
-    """Return the errno of what the system said, 0 if none is known; HDF5 tells it in the middle of a paragraph."""
+    """Return the errno of a system error, 0 if none is known; HDF5 states it within a longer message."""
     if isinstance(error, OSError) and error.errno:
         return error.errno
     match = _HDF5_ERRNO.search(str(error))
@@ -55,14 +54,14 @@ def reason_of(error: Exception) -> str:
 
 
 class ImuArrayError(Exception):
-    """Root of the tree; its text is one line that names the place, what came and what is allowed."""
+    """Root of the tree; its text is one line that states the place, the invalid value and the allowed values."""
 
     exit_code = 2
     """Exit code of the command line."""
 
 
 class ConfigError(ImuArrayError):
-    """A configuration that can't be meant: unknown key, impossible range, two sensors in one place, mirrored axes."""
+    """An invalid configuration: unknown key, impossible range, two sensors in one place, mirrored axes."""
 
 
 class BusUrlError(ImuArrayError):
@@ -74,7 +73,7 @@ class SensorError(ImuArrayError):
 
 
 class LogError(ImuArrayError):
-    """A log file that is missing, not a log, truncated, malformed, or built to do harm."""
+    """A log file that is missing, not a log, truncated, malformed, or malicious."""
 
 
 class LogBusyError(LogError):
@@ -85,8 +84,8 @@ class LogBusyError(LogError):
 
 
 class DiskFullError(LogError):
-    """The disk is full, or nearly so: nothing more can be written; of a log that was begun, what was acknowledged is
-    kept.
+    """The disk is full, or nearly full, and nothing more can be written; a log that was begun keeps its acknowledged
+    rows.
     """
 
     exit_code = 3
@@ -97,13 +96,13 @@ class DiskFullError(LogError):
         why: str,
         kept: str = "nothing was recorded; free space or choose another disk",
     ) -> None:
-        """`kept` says what there is all the same."""
+        """`kept` states what was saved before the error."""
         self.path, self.why, self.kept = path, why, kept
         super().__init__(f"{path}: {why}; {kept}")
 
 
 class LogWarning(UserWarning):
-    """A log was opened that is incomplete: rows are lost, or texts have changed. The message says which."""
+    """A log was opened that is incomplete: rows are lost, or texts have changed. The message states which."""
 
 
 class SourceError(ImuArrayError):
@@ -111,26 +110,26 @@ class SourceError(ImuArrayError):
 
 
 class CalibrationError(ImuArrayError):
-    """A log that can't be calibrated from, or a calibration file that does not fit."""
+    """A log that is not suitable for a calibration, or a calibration file that does not fit."""
 
 
 class FusionError(ImuArrayError):
-    """A technique that this array or this log can't feed."""
+    """A fusion technique that this array or this log has too few sensors or data for."""
 
 
 class ExportError(ImuArrayError):
-    """An export that can't be: a suffix that no format has, units that a file can't be given in."""
+    """An export that is not possible: an unknown suffix, or units that the file can't be converted to."""
 
 
 class OutputExistsError(ImuArrayError):
-    """An output that exists already; nothing is overwritten unless `--force` says so."""
+    """An output that already exists; nothing is overwritten without `--force`."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
         super().__init__(f"{path}: exists already; choose another name or use --force")
 
 
 class OutputError(ImuArrayError):
-    """An output that can't be written, for what the system said; nothing is left of it."""
+    """An output that can't be written, with the reason from the system; no partial file is left."""
 
     def __init__(self, path: str | PathLike[str], error: Exception) -> None:
         super().__init__(f"{path}: can't be written: {reason_of(error)}")
@@ -138,7 +137,7 @@ class OutputError(ImuArrayError):
 
 
 class MissingExtraError(ImuArrayError):
-    """An optional package is not installed; names the extra that brings it."""
+    """An optional package is not installed; the message names the extra that installs it."""
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"this needs {package}, which is not installed: pip install 'imuarray[{extra}]'")

@@ -1,5 +1,5 @@
-"""Figures that need no display: matplotlib's own `Figure`, never its global state, in colours that the colour-blind can
-tell apart. A notebook shows what these functions return; `figure.savefig("name.svg")` writes it.
+"""Figures that need no display: matplotlib's own `Figure`, without its global state, in colours that colour-blind
+readers can distinguish. A notebook shows the returned figures; `figure.savefig("name.svg")` writes one to a file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ PALETTE = ("#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 """Grey for single sensors, then Okabe and Ito's colours."""
 
 _MOST_POINTS = 4000
-"""Points of a curve over time: a stretch of rows is drawn by its least and its greatest value."""
+"""Largest number of points of a curve over time. Longer curves are drawn by the smallest and the largest value of each
+stretch of rows.
+"""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -35,9 +37,10 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def time_series_figure(panels: Mapping[str, tuple[Reals, Reals]], title: str = "", height: float = 1.7) -> Figure:
-    """Curves over time, a panel for each label: times (n,) in s and values (n,), or (n, 3) along X, Y and Z.
+    """Plot curves over time, one panel for each label: times (n,) in s and values (n,), or (n, 3) along X, Y and Z.
 
-    Of more than 4000 rows each stretch is drawn by its least and greatest value, so that a single spike is seen.
+    With more than 4000 rows, each stretch is drawn by its smallest and largest value, so that a single spike is
+    visible.
     """
     figure = new_figure(8.0, 0.8 + height * max(1, len(panels)))
     axes = figure.subplots(max(1, len(panels)), 1, sharex=True, squeeze=False)[:, 0]
@@ -58,7 +61,7 @@ def time_series_figure(panels: Mapping[str, tuple[Reals, Reals]], title: str = "
 
 
 def envelope(time_s: Reals, values: Reals, most: int = _MOST_POINTS) -> tuple[Reals, Reals]:
-    """Return the curve (n,); of more than `most` rows, the smallest and the largest value of each stretch."""
+    """Return the curve (n,), or with more than `most` rows the smallest and the largest value of each stretch."""
     width = -(-2 * len(values) // most)
     if width <= 2:
         return time_s, values
@@ -70,8 +73,8 @@ def envelope(time_s: Reals, values: Reals, most: int = _MOST_POINTS) -> tuple[Re
 def estimates_figure(
     labels: Sequence[str], values: Sequence[float], errors: Sequence[float], units: Sequence[str], quantity: str
 ) -> Figure:
-    """Estimates, a dot a line, with two standard errors to either side, and a panel for each unit; nan: not known, no
-    dot or no bar.
+    """Plot estimates, one dot per line with two standard errors on either side, in one panel for each unit. nan is not
+    known and has no dot, or no bar.
     """
     figure = new_figure(8.0, 1.1 + 0.24 * max(3, len(labels)))
     groups = list(dict.fromkeys(units)) or [""]

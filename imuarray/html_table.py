@@ -1,4 +1,4 @@
-"""Results as notebooks show them: a sentence and a table, as HTML without styles, so that a theme's colours hold."""
+"""Results for notebooks: a sentence and a table, as HTML without styles, so that the colours of a theme are used."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 MOST_ROWS = 60
-"""Rows that are shown; the rest are counted."""
+"""Largest number of rows that are shown; the number of the others is stated."""
 
 
 def html_table(sentence: str, heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

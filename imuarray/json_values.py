@@ -1,4 +1,4 @@
-"""Values as JSON has them."""
+"""Conversion of values to those of JSON."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Compiled recursions (`_kernels.c`), which return None where the package was installed without a C compiler: callers
-then do the same with NumPy, to rounding.
+"""Compiled recursions (`_kernels.c`). They return None if the package was installed without a C compiler; callers then
+compute the same with NumPy, except for rounding.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _MOST = 16
 
 
 def tridiagonal(before: Floats, after: Floats, alone: Floats) -> Floats | None:
-    """Solve ``x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1]`` for x (c, k); the two factors (k,) of every
-    row are below one together. None without compiled code.
+    """Solve ``x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1]`` for x (c, k); the sum of the two factors (k,)
+    of every row is below one. None without compiled code.
     """
     if not COMPILED:
         return None
@@ -33,11 +33,12 @@ def tridiagonal(before: Floats, after: Floats, alone: Floats) -> Floats | None:
 
 
 def drift_sums(means: Floats, kept: Floats, shared: Floats, noise: Floats) -> Sequence[Floats] | None:
-    """Filter the means (n, a) of a stretch at every point of a grid (t, u): `kept` (n, t) is what is left of a state
-    until the next mean, `shared` and `noise` (t, u, s) are variances, s = 1 or a.
+    """Filter the means (n, a) of a stretch at every point of a grid (t, u): `kept` (n, t) is the factor by which a
+    state decays until the next mean, `shared` and `noise` (t, u, s) are variances, s = 1 or a.
 
-    Returns over the grid the sums of squares of the innovations of the means (t, u, a), of a level of one (t, u, s), of
-    their products (t, u, a), all over their variance, and of the logs of that (t, u, s). None without compiled code.
+    Returns sums over the stretch for each point of the grid: the squared innovations of the means (t, u, a), the
+    squared innovations of a constant level of 1 (t, u, s), and the products of both (t, u, a), each divided by the
+    variance, and the logarithms of the variance (t, u, s). None without compiled code.
     """
     (count, axes), (times, ratios, own) = means.shape, shared.shape
     if not COMPILED or axes > _MOST:
@@ -54,9 +55,10 @@ def track_differences(
     walks: Floats,
     blend: tuple[Floats, Floats, Floats],
 ) -> tuple[Floats, Floats] | None:
-    """Track the differences (m, 3) of axes and their covariances (m, 3, 3), which are `before`, over k segments:
-    `moments` are products (k, m, 3, 3), residuals (k, m, 3) and which axes moved (k, m); `walks` (k, m, 3) variances
-    that are added before each segment; `blend` its matrices (m, m) `through` and `turned`, and the weights (m,).
+    """Track the differences (m, 3) of axes and their covariances (m, 3, 3), with the initial values `before`, over k
+    segments. `moments` are products (k, m, 3, 3), residuals (k, m, 3) and flags of axes that moved (k, m); `walks` (k,
+    m, 3) are variances that are added before each segment; `blend` are the matrices (m, m) `through` and `turned`, and
+    the weights (m,).
 
     Returns the differences (k + 1, m, 3) and covariances (k + 1, m, 3, 3) before, between and after. None without
     compiled code.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 _NUMBERED = re.compile(r"(\D*)(\d{1,9})(\D*)")
 _RUN = 3
-"""Names with consecutive numbers of which the first and the last are enough."""
+"""Fewest names with consecutive numbers of which only the first and the last are listed."""
 
 
 def counted(count: int, noun: str) -> str:
@@ -39,8 +39,8 @@ def printable(text: str) -> str:
 
 
 def encodable(text: str) -> str:
-    """Return `text` with U+FFFD in the place of lone surrogates, which UTF-8 cannot encode: they stand for the bytes of
-    a file name that are no text in the encoding of this machine.
+    """Return `text` with U+FFFD in the place of lone surrogates, which UTF-8 cannot encode: they represent bytes of a
+    file name that are invalid in the encoding of this machine.
     """
     return _SURROGATE.sub("\N{REPLACEMENT CHARACTER}", text)
 

@@ -1,8 +1,8 @@
 """Products of many rows with a small matrix, in one thread.
 
-OpenBLAS starts threads for a long product, which then wait for the next one in a loop: processor time without a gain,
-half of that of a characterisation from Python. The command line sets the number of threads before NumPy is imported,
-which a library can't.
+OpenBLAS starts threads for a long product, which then wait for the next product in a loop. This uses processor time
+without a gain, half of the time of a characterisation from Python. The command line sets the number of threads before
+NumPy is imported, but a library can't.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.arrays import Floats
 
 _PRODUCTS_IN_ONE_THREAD = 1 << 18
-"""Products of two numbers in a product of matrices up to which OpenBLAS uses one thread
+"""Largest number of multiplications in a product of matrices for which OpenBLAS uses one thread
 (`GEMM_MULTITHREAD_THRESHOLD` of its interface/gemm.c: 4 times 2^16).
 """
 

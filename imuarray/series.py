@@ -1,5 +1,5 @@
-"""Passes over long series. Those of `_series.c` are compiled. They return None where the package was installed without
-a C compiler, and for arrays that they don't handle: callers then do the same with NumPy, to rounding.
+"""Passes over long series. Those of `_series.c` are compiled. They return None if the package was installed without a C
+compiler, and for arrays that they don't handle; callers then compute the same with NumPy, except for rounding.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _BLOCK = 1 << 16
 
 
 def true_runs(flags: Booleans) -> tuple[Indices, Indices]:
-    """Return the first row of each run of true values among (n,), and the row behind the last one of each."""
+    """Return the first row of each run of true values in (n,), and the row after the last one of each."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]
 
@@ -51,8 +51,8 @@ def add_windows(
 ) -> bool:
     """Add to the `figures` of w windows, their rows (w,) and sums, squares, lowest and highest values (4, w, 3), those
     of a block of time (n,), counts (n, 3) and status (n,); `turn` (3, 3) turns counts into values. `windows` are the
-    begin of the first one and their width in ns; rows with one of the flags are left out. Return False without compiled
-    code, and for counts that are not int16.
+    start of the first window and the width of all in ns; rows with one of the flags are ignored. Return False without
+    compiled code, and for counts that are not int16.
     """
     time, counts, status = (np.ascontiguousarray(part) for part in block)
     if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:

@@ -9,31 +9,31 @@ from imuarray.spelling import guess, guess_file
 
 
 def configs() -> Path:
-    """Return the shipped configurations: inside an installed package, beside it in a checkout."""
+    """Return the folder of the shipped configurations: inside an installed package, next to it in a checkout."""
     package = Path(__file__).parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
 
 
 def find_config(name: Path) -> Path:
-    """`name` itself if it is a file, otherwise the configuration with this name that comes with the package
-    ("martin2013").
-    """
+    """Return `name` itself if it is a file, otherwise the configuration of this name in the package ("martin2013")."""
     return _find(name, configs(), "array", "[array]")
 
 
 def find_model(name: Path) -> Path:
-    """`name` itself if it is a file, else the model of that name which comes with the package ("datasheet")."""
+    """Return `name` itself if it is a file, otherwise the model of this name in the package ("datasheet")."""
     return _find(name, configs() / "models", "model", "[model]")
 
 
 def find_map(name: Path) -> Path:
-    """`name` itself if it is a file, else the import map of that name which comes with the package ("mimu4444")."""
+    """Return `name` itself if it is a file, otherwise the import map of this name in the package ("mimu4444")."""
     return _find(name, configs() / "imports", "map", "")
 
 
 def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
-    """Return a file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
+    """Return a file, or the one of that name in `folder`; ConfigError lists the available names (of files that contain
+    `table`).
+    """
     if name.exists() or name.suffix:
         return name
     shipped = folder / f"{name}.toml"

@@ -10,11 +10,11 @@ from pathlib import Path
 from imuarray.printable import printable
 
 _MOST_FILES = 2000
-"""Most names of a folder that are compared, so that an error in a large folder is not slow."""
+"""Largest number of names of a folder that are compared, so that an error in a large folder is not slow."""
 
 
 def guess(word: str, allowed: Iterable[str]) -> str:
-    """Return `; did you mean NAME?` for the allowed name most like `word`, or "" where none is similar.
+    """Return `; did you mean NAME?` for the allowed name most similar to `word`, or "" if none is similar.
 
     Letter case is ignored.
 
@@ -48,7 +48,7 @@ def as_names(names: str | Collection[str]) -> tuple[str, ...]:
 
 def closest(word: str, allowed: Iterable[str], *, cutoff: float = 0.6) -> str:
     """Return the allowed name most similar to `word`; "" if no similarity (0 to 1, `difflib`) reaches `cutoff`. A word
-    without a sign is the positive one.
+    without a sign matches the name with a plus sign.
     """
     from difflib import get_close_matches
 

@@ -1,4 +1,4 @@
-"""Scales of the chips' own thermometers, by the name of the chip (of a six-axis chip: of the die)."""
+"""Scales of the chips' own thermometers, by the name of the chip (for a six-axis chip: of the die)."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
 
 
 def thermometer_scale(chip: str) -> ChipThermometer | None:
-    """Return the data sheet's scale of a chip's thermometer; None if it has none, or nobody knows the chip."""
+    """Return the data sheet's scale of a chip's thermometer; None if it has none, or if the chip is unknown."""
     return THERMOMETERS.get(chip.removesuffix("_acc").removesuffix("_gyro"))

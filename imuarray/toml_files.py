@@ -1,6 +1,6 @@
-"""Reading a TOML file as a model, and what is wrong with it in words: the place, what came, what is allowed.
+"""TOML files are read into models; error messages state the place, the invalid value and the allowed values.
 
-The line of a key is searched in the text (TOML 1.0.0, toml.io), because `tomllib` does not give it.
+The line of a key is determined from the text (TOML 1.0.0, toml.io), because `tomllib` does not state it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ _STRING = re.compile(
 )
 _SCALAR = re.compile(r"[^,\]}#\n]*")
 _LONGEST_KEY = 100
-"""Number of parts of a dotted key; a longer key is an attack, whose places alone would fill the memory."""
+"""Number of parts of a dotted key; a longer key is assumed to be an attack, because its places alone would fill the
+memory.
+"""
 
 
 class _Reader:
@@ -155,7 +157,7 @@ class _Reader:
         self._at += 1
 
     def _skip(self, pattern: re.Pattern[str]) -> str:
-        """Move past what matches here, and return it."""
+        """Move past the text that matches the pattern at this position, and return it."""
         match = pattern.match(self._text, self._at)
         if match is None:
             return ""
@@ -196,8 +198,8 @@ _IN_OTHER_WORDS = {
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """Return the text of a file, without the byte order mark that editors on Windows begin it with; ConfigError names
-    the file if there is none.
+    """Return the text of a file, without the byte order mark that editors on Windows write; ConfigError names the file
+    if it can't be read as text.
     """
     try:
         return Path(path).read_text(encoding="utf-8-sig")
@@ -207,7 +209,7 @@ def read_text(path: str | PathLike[str]) -> str:
 
 
 def no_text(path: str | PathLike[str]) -> str:
-    """Describe a file that has no text in it; an HDF5 file may be a log in the place of a calibration."""
+    """Describe a file that is not text; an HDF5 file may be a log that was given instead of a calibration."""
     try:
         with Path(path).open("rb") as file:
             begin = file.read(len(_HDF5))
@@ -240,7 +242,7 @@ def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
     """Return the error, one line, that lists mistakes, each with file and line.
 
     `where` is the file's name: "array.toml:7: sensor 1 'A': range 17: allowed are 2, 4; array.toml:9: ...". A mistake
-    about what the text lacks as a whole has no line.
+    about a missing part of the whole text has no line.
     """
     lines = key_lines(text)
     listed = [
@@ -252,7 +254,7 @@ def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
 
 
 def _joined(listed: Sequence[str]) -> str:
-    """Return the first complaints on one line, and how many more there are."""
+    """Return the first complaints on one line, and the number of further ones."""
     more = [f"and {len(listed) - _TOLD} more"] if len(listed) > _TOLD else []
     complaints: list[str] = []
     for text in listed[:_TOLD]:
@@ -263,13 +265,11 @@ def _joined(listed: Sequence[str]) -> str:
 
 
 _ALLOWED = "; allowed are "
-"""Before a list of what is allowed, which is stated once."""
+"""Text before a list of allowed values, which is stated only once."""
 
 
 def _line(mistake: Mistake, lines: Mapping[Place, int]) -> int:
-    """Return the line of the key that a complaint is about, else of the smallest table around it; 0 if the text
-    has none.
-    """
+    """Return the line of the key of a complaint, or of the smallest table around it; 0 if the text has neither."""
     key = _FIRST_WORD.match(mistake.complaint)
     place = mistake.place
     while place:
@@ -304,7 +304,7 @@ _TOML_LINE = re.compile(r"\(at line (\d+), column \d+\)$")
 
 
 def _checked(table: Mapping[str, Any], model: type[File], text: str, where: str) -> File:
-    from pydantic import ValidationError  # its weight is for those who read such a file
+    from pydantic import ValidationError  # slow to import
 
     try:
         return model.model_validate(table)
@@ -326,8 +326,8 @@ def _mistakes(error: ValidationError, table: Mapping[str, Any], model: type[Base
 
 
 def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Any]:
-    """Return the mistakes of a table, also those that are looked for only where no key is unknown."""
-    from pydantic import ValidationError  # its weight is for those who read such a file
+    """Return the mistakes of a table, including those that pydantic checks only if no key is unknown."""
+    from pydantic import ValidationError  # slow to import
 
     mistakes: list[Any] = list(error.errors())
     unknown = [mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"]
@@ -349,7 +349,7 @@ def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[
 
 
 def _subject(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
-    """Return the place of a mistake; entries of an array of tables are counted from 1 and called by their name."""
+    """Return the place of a mistake; entries of an array of tables are numbered from 1 and stated with their name."""
     words: list[str] = []
     value: Any = table
     for part in location:
@@ -363,7 +363,7 @@ def _subject(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
 
 
 def _inside(value: Any, part: int | str) -> Any:
-    """`value[part]`, or None if there is no such thing."""
+    """Return `value[part]`, or None if it does not exist."""
     try:
         return value[part]
     except (KeyError, IndexError, TypeError):
@@ -371,7 +371,7 @@ def _inside(value: Any, part: int | str) -> Any:
 
 
 def _complaint(mistake: Any, model: type[BaseModel]) -> str:
-    """Return one clause: the mistake, and what is allowed."""
+    """Return one clause: the mistake, and the allowed values."""
     if mistake["type"] == "extra_forbidden":
         *path, key = mistake["loc"]
         choices = list(_model_at(path, model).model_fields)
@@ -396,7 +396,7 @@ def _model_at(path: Sequence[int | str], model: type[BaseModel]) -> type[BaseMod
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
     """Return the models that an annotation names: `list[Model]`, `Model | None`, ..."""
-    from pydantic import BaseModel  # its weight is for those who read such a file
+    from pydantic import BaseModel  # slow to import
 
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]

@@ -1,4 +1,4 @@
-"""Quantities, the units in which data sheets and people give them, and their factors to SI."""
+"""Quantities, their units in data sheets and recordings, and the factors to SI."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STANDARD_GRAVITY = 9.80665
 SI_PER_UNIT: Mapping[str, float] = MappingProxyType(
     {"g": STANDARD_GRAVITY, "dps": math.pi / 180, "gauss": 1e-4, "Pa": 1.0, "degC": 1.0}
 )
-"""Factor from a sensor's unit to SI (m/s2, rad/s, T, Pa); degrees Celsius stay as they are."""
+"""Factor from a sensor's unit to SI (m/s2, rad/s, T, Pa); degrees Celsius are not converted."""
 
 UNITS_OF: Mapping[Quantity, Mapping[str, float]] = MappingProxyType(
     {
@@ -49,8 +49,8 @@ UNITS_OF: Mapping[Quantity, Mapping[str, float]] = MappingProxyType(
         ),
     }
 )
-"""Every unit in which a foreign recording may give a triad: factor to the unit in which a log gives that quantity, the
-first of each.
+"""Every allowed unit of a triad in a foreign recording, with its factor to the unit of that quantity in a log. The unit
+in a log is the first one of each quantity.
 """
 
 _SPELLINGS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
@@ -82,7 +82,7 @@ _SPELLINGS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
 
 
 def standard_unit(unit: str, quantity: str) -> str:
-    """Return the spelling in `UNITS_OF` of a unit of a quantity, or `unit` itself if it is no spelling of one.
+    """Return the spelling in `UNITS_OF` of a unit of a quantity, or `unit` itself if it is not a spelling of one.
 
     >>> standard_unit("m/s^2", "specific_force"), standard_unit("G", "magnetic_field"), standard_unit("N", "pressure")
     ('m/s2', 'gauss', 'N')
@@ -98,9 +98,9 @@ SI_NAME: Mapping[str, str] = MappingProxyType(
 """The SI unit in the spelling of CF conventions."""
 
 READABLE: Mapping[str, tuple[float, str]] = MappingProxyType({"g": (1e3, "mg"), "dps": (1.0, "dps")})
-"""Factor from an inertial sensor's unit to the one in which a person reads a small value of it, and its name."""
+"""Factor from an inertial sensor's unit to the unit in which small values are shown, and the name of that unit."""
 
 READABLE_SI: Mapping[str, tuple[float, str]] = MappingProxyType(
     {"specific_force": (1e3 / STANDARD_GRAVITY, "mg"), "angular_rate": (180 / math.pi, "dps")}
 )
-"""The same from SI, by quantity."""
+"""The same factors from SI, by quantity."""

@@ -8,7 +8,7 @@ _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def wall_time(text: str) -> datetime | None:
-    """Return the moment, in UTC, that an ISO 8601 text states; None if it states none."""
+    """Return the time, in UTC, of an ISO 8601 text; None if the text is not one."""
     try:
         moment = datetime.fromisoformat(text)
         return moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC)
@@ -17,7 +17,7 @@ def wall_time(text: str) -> datetime | None:
 
 
 def unix_ns(text: str) -> int | None:
-    """Return the nanoseconds from 1970 to the moment that an ISO 8601 text states; None if it states none."""
+    """Return the nanoseconds from 1970 to the time of an ISO 8601 text; None if the text is not one."""
     moment = wall_time(text)
     if moment is None:
         return None
@@ -26,5 +26,5 @@ def unix_ns(text: str) -> int | None:
 
 
 def iso_text(moment: datetime, timespec: str = "microseconds") -> str:
-    """Return a moment in any zone as ISO 8601 in UTC, which a Z states."""
+    """Return a time of any zone as ISO 8601 text in UTC, with a Z at its end."""
     return moment.astimezone(UTC).isoformat(timespec=timespec).replace("+00:00", "Z")
