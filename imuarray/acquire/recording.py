@@ -117,7 +117,7 @@ class RecordingCounts:
     refused: int = 0
     """Frames of a serial link that were rejected: old, repeated, out of order or of an earlier boot."""
     seconds: float = 0.0
-    """Duration: frames and missed frames, one period each (`imuarray.log.missed_frames`)."""
+    """Duration in s: frames and missed frames, one period each (`imuarray.log.missed_frames`)."""
     logs: list[Path] = field(default_factory=list)
     """The files in the order of their time: one, unless the log was split into parts."""
 
@@ -129,7 +129,7 @@ class RecordingOptions:
     rate_hz: float
     """Frames per second; a frame reads every sensor once."""
     seconds: float | None = None
-    """Duration; None: until `stopped` returns True."""
+    """Duration in s; None: until `stopped` returns True."""
     phase: str = ""
     """Name of the whole log ("static", "z_up", ...)."""
     up: str = ""
@@ -137,7 +137,7 @@ class RecordingOptions:
     phases: Sequence[Phase] = ()
     """Names of parts of the log, in times of the bus's clock."""
     rotate_s: float | None = None
-    """Length of the parts into which the log is split, each a log of its own (`imuarray.log.rotate`)."""
+    """Length in s of the parts into which the log is split; each part is a log (`imuarray.log.rotate`)."""
     wall_time: datetime | None = None
     """UTC time of the start; None: that of the transcript being replayed, else the wall clock, read once."""
     force: bool = False

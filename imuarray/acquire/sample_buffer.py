@@ -3,7 +3,7 @@ trusted; and the recovery of a sensor that returns no readings.
 
 A row is written only after the chip's configuration was verified *after* the row was read. A chip that falls back to
 its defaults is noticed with a delay, and the readings in between must not be stored as good. The same applies to a chip
-whose reading no longer changes, which takes a while to distinguish from chance.
+with a reading that no longer changes, because it takes a while to distinguish this from chance.
 
 `SensorRecovery` takes one step per frame during the sensor's own visits, so that no other sensor waits for it: read its
 identity, at growing intervals while it does not answer; compare its configuration with the intended one; if they

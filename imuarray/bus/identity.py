@@ -29,8 +29,7 @@ _NUMBER = re.compile(r"\b\d+\b")
 
 @dataclass(frozen=True)
 class BusIdentity:
-    """`device` is the device's own description, `part` the adapter or port of it, `place` the port that it is plugged
-    `device` is the description of the device itself, `part` its adapter or port, `place` the port into which it is
+    """`device` is the description of the device itself, `part` its adapter or port, `place` the port into which it is
     plugged ("" for a built-in device).
     """
 

@@ -12,9 +12,8 @@ Both sides send frames; every number is little-endian::
     11 + n  4       CRC-32 (zlib's and Ethernet's) of bytes 2 to 10 + n
 
 A receiver that finds no valid frame at a sync continues its search one byte later, so that it detects an intact frame
-among any other bytes.
-These are the commands of the host, and the payload of the answer, which has bit 7 of the kind set and the command's
-sequence::
+among any other bytes. These are the commands of the host, and the payload of the answer, which has bit 7 of the kind
+set and the command's sequence::
 
     01 HELLO                                                  version, lists u8, bytes u16
     02 TRANSFER  address, count u16, bytes to write           result, bytes that were read

@@ -2,7 +2,7 @@
 
 InvenSense register map RM-MPU-9250A rev. 1.4; facts INV-70 ... INV-78. A burst is 0x3B ... 0x48, accelerometer,
 thermometer and gyroscope, high byte first, as on the MPU-6050; 333.87 counts a degC, 0 at 21 degC (INV-76). Unlike on
-the MPU-6050, the accelerometer has its own filter register, which is set to the same code, and the die is awake after
+the MPU-6050, the accelerometer has its own filter register (it is set to the same code), and the die is awake after
 power-on. The magnetometer of the MPU-9250, an AK8963 on its auxiliary bus, is a separate sensor.
 """
 

@@ -1,8 +1,8 @@
 """Alignment of all sensor axes of one quantity to one time grid, as a pure function of the readings around it.
 
 `RowWindow` holds the rows of one sensor as they arrive, as long as they are required. `choose_grid` selects the times
-of the frames: those of a sensor that is read in the middle of a frame, and those of others while it is silent. `align`
-computes the frames.
+of the frames: those of a sensor that is read in the middle of a frame and, while it is silent, those of other sensors.
+`align` computes the frames.
 
 Each sensor contributes its nearest reading within half a frame. A reading belongs to an instant some time before it was
 read; the change of the motion between that instant and the frame is removed with the slope of the array's own mean. The

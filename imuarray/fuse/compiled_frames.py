@@ -123,8 +123,8 @@ def delay_noise(
     grid: Times, slope: Floats, late: tuple[Booleans, Floats], periods_ns: tuple[float, float], weights: Floats
 ) -> npt.NDArray[np.float32] | None:
     """Return `Frames.delay_noise` (n, 2 s) of frames at `grid` (n,) with `slope` (n, 3), valid and late_s (s, n) in
-    `late`; `periods_ns` are that of the frames and the longest one over which the slope is known, `weights` (10,) those
-    of `alignment`. None without compiled code.
+    `late`. `periods_ns` are the period of the frames and the longest pause over which the slope is known, `weights`
+    (10,) the `_SPLINE_WEIGHTS` of `alignment`. None without compiled code.
     """
     if not COMPILED:
         return None

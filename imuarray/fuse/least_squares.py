@@ -121,8 +121,8 @@ class SlowErrors:
 
 @dataclass(frozen=True)
 class AxisNoise:
-    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and that of their mean which the correction of delays
-    subtracts (`Frames.delay_noise`; None: no delays).
+    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and the noise of their mean that the correction of
+    delays subtracts (`Frames.delay_noise`; None: no delays).
     """
 
     rows: Floats

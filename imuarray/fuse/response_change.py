@@ -12,7 +12,7 @@ A log in which the box turns shows the size: sensors whose responses changed dis
 
 D (m, 3) are the relative errors of the responses and z the parities, whose noise is independent of that of the weighted
 least-squares u. Least squares of z over u and its derivative (which different delays add) yields B D. Its covariance is
-that of the calibration, carried through B, plus ``change^2 B B'`` and that of noise; the mean of ``change^2`` under
+that of the calibration, transformed by B, plus ``change^2 B B'`` and that of noise; the mean of ``change^2`` under
 this likelihood and the prior is the estimate (C. M. Bishop, Pattern Recognition and Machine Learning, 2006, section
 3.5). z contains no error that all sensors share. Accelerometers at different positions measure different forces in a
 rotation: for them, only windows in which gyroscopes show rest are used.

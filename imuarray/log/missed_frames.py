@@ -25,7 +25,7 @@ from imuarray.log.sensor_log import SensorLog
 from imuarray.units import INERTIAL
 
 _SAME_CLOCK = frozenset({"i2c", "spi", "emulated", "replay"})
-"""Sources whose times are those of the clock by which the logger begins frames, on which periods are exact."""
+"""Sources with times of the clock by which the logger begins frames; periods are exact on this clock."""
 _EARLY = 0.25
 """Share of a period by which a row may be too early for its frame: reading the first row may have taken longer."""
 _OWN_PACE = 1.25

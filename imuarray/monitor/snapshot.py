@@ -209,8 +209,8 @@ class Snapshot:
     `state` is one of the four above, `remark` further information ("": none). `begins_ns` and `ends_ns` are the times
     of the first and the newest row since `epoch`; `quiet_s` is the time without new rows. `rate_hz` is the current rate
     of frames, `frame_rate_hz` the requested one (0: unknown). `missed` are frames whose time had passed, as the logger
-    counts them; `delayed` are those that were read more than a quarter of a period later than usual, which are fewer
-    than the logger's late frames, which began after their time. `counted` is the share of the log that is counted so
+    counts them; `delayed` are frames that were read more than a quarter of a period later than usual. The logger's late
+    frames are all that began after their time, and therefore more. `counted` is the share of the log that is counted so
     far. `events` are counted by kind; `problems` of them report a fault. `recent` are the last events, the newest
     first, `repeated` the last that differ in more than numbers. `health` follows from all of it. `took_s` is the
     duration of the refresh.
