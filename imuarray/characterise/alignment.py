@@ -222,8 +222,8 @@ def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Fl
 
 
 def _is_strong(times_s: Floats, rates: Floats) -> bool:
-    """Return whether the motion is strong enough compared with the noise, whose fourth differences have 70 times its
-    variance.
+    """Return whether the motion is strong enough compared with the noise; the variance of the fourth differences of
+    noise is 70 times that of the noise.
     """
     noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / MEDIAN_ABSOLUTE / math.sqrt(70)
     derivative = np.gradient(rates, times_s, axis=0)

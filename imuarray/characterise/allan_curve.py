@@ -122,7 +122,7 @@ def interval(
 
 
 CONFIDENCE = 0.95
-"""Share of intervals that hold the true deviation."""
+"""Share of intervals that contain the true deviation."""
 
 IDENTIFY = 8192
 """The largest number of averages from which the noise type is estimated: their autocorrelation is then known to 0.01.
@@ -133,7 +133,7 @@ STARTS = 8
 
 
 Runs = tuple[tuple[int, int], ...]
-"""Lengths of the runs without a gap that a series consists of, and how many are of each; empty for a single run."""
+"""Lengths of the runs without a gap in a series, and the number of runs of each length; empty for a single run."""
 
 
 @dataclass(frozen=True)
@@ -370,7 +370,7 @@ def _parts(tau_s: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]) -> 
 
 
 def _excess(tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: float) -> float:
-    """Return by how much the slope differs from -1/2 beyond two standard errors, which are those of the last point."""
+    """Return the difference of the slope from -1/2 beyond two standard errors, which are those of the last point."""
     span = np.log(tau_s) - np.log(tau_s).mean()
     slope = float(span @ np.log(deviation) / (span @ span))
     error = 1 / sqrt(2 * freedom) / float(span[-1] - span[0])

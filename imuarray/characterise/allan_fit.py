@@ -63,7 +63,9 @@ _WIDER = 1.06
 
 
 _MOST_LENGTHS = 24
-"""Most lengths of runs whose covariances are computed: a night with stalls has hundreds, most of them short."""
+"""Largest number of lengths of runs for which covariances are computed: a log of a night with stalls has hundreds of
+lengths, most of them short.
+"""
 
 
 def merge_similar(runs: Runs) -> Runs:
@@ -164,7 +166,7 @@ def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
         distance = np.abs(lags + n - m)
         far = distance > _FAR * n
         return np.where(far, -((m * n / np.where(far, distance, 1.0)) ** 2) / pi, products)
-    is_disjoint = (lags >= 2 * m) | (lags <= -2 * n)  # nothing in common; what is left of |lag|^3 there is rounding
+    is_disjoint = (lags >= 2 * m) | (lags <= -2 * n)  # no rows in common; the remainder of |lag|^3 is rounding
     return np.where(is_disjoint, 0.0, products)
 
 
@@ -331,7 +333,7 @@ def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
         whitener, last = estimate.whitener(theta), theta
         white, target = whitener @ design, whitener @ estimate.variance
         theta, misfit = _non_negative(white, target, terms)
-        if not theta.any():  # a curve so far from the terms that correlated residuals turn all of them away
+        if not theta.any():  # the curve is so far from the terms that correlated residuals exclude all of them
             return AllanSolution(last, float(np.sum((white @ last - target) ** 2)), white, target)
         if np.all(np.abs(design @ (theta - last)) <= _CONVERGED * (design @ last)):
             break
@@ -345,7 +347,7 @@ def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple
     columns = design[:, included] / scale
     solution = non_negative(columns, target)
     if solution is None:
-        from scipy.optimize import nnls  # whose import takes longer than all fits of a log
+        from scipy.optimize import nnls  # its import takes longer than all fits of a log
 
         solution = nnls(columns, target)[0]
     theta[included] = solution / scale
@@ -424,9 +426,9 @@ class NoiseTerm:
 class NoiseFit:
     """Coefficients of the requested terms, and the quality of the fit.
 
-    `p_value`: the chance of a misfit as large as `misfit` (`freedom` degrees) if the curve is such a sum; nan without
-    degrees of freedom. `deviation` is the fitted curve at `tau_s`; at `worst_tau_s` the measured one differs most, by
-    the factor `worst_ratio`. `verdict` is empty for a good fit.
+    `p_value`: the probability of a misfit of at least `misfit` (with `freedom` degrees) if the curve is a sum of these
+    noises; nan without degrees of freedom. `deviation` is the fitted curve at `tau_s`; at `worst_tau_s` the measured
+    one differs most, by the factor `worst_ratio`. `verdict` is empty for a good fit.
     """
 
     coefficients: tuple[NoiseTerm, ...]

@@ -3,11 +3,11 @@
 The decimated estimator starts its second differences not at every row but at every `stride_of(m)`-th, an eighth of the
 averaging factor m. Neighbouring differences are so strongly correlated that this costs one or two hundredths of the
 degrees of freedom (which `AllanCurve.freedom` counts), and the running sum is then needed at multiples of the stride
-alone: a pyramid of coarser and coarser running sums, each of which keeps its latest values.
+alone: a pyramid of increasingly coarse running sums, which keep their latest values.
 
 Allan variances are computed from sums of squared second differences of a running sum. The running sum of whole numbers
-is kept as float64 of their distance from the first: exact while it stays below 2^53, and so are its differences; the
-rest is float64 too, and no conversion is needed on the way to the sum of squares.
+is that of their differences from the first one, in float64: it is exact while it is below 2^53, and so are its
+differences. All other steps use float64 too, so that no conversion is needed for the sum of squares.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _fits(values: Values) -> bool:
 
 def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> list[float]:
     """Return for each distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x
-    reaches; x is float64, or int32, whose differences are float64 all the same.
+    reaches; x is float64 or int32; the differences are float64 in both cases.
     """
     compiled = second_difference_sums(phase, distances, first)
     if compiled is not None:

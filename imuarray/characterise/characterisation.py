@@ -194,7 +194,7 @@ def _fit_line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
 
 def _term(fit: Mapping[str, Any] | None, name: str, scale: float) -> str:
     """Return a coefficient with half its interval in per cent, or its upper limit; B and K are in brackets, without an
-    interval, if the curve is not a sum of such noises, for example with a process that has a time constant.
+    interval, if the curve is not a sum of these noises, for example because of a process with a time constant.
     """
     term = fit["terms"].get(name) if fit else None
     if term is None or term["value"] is None:

@@ -1,8 +1,8 @@
 """Autocorrelation of a series at its first lags, computed block by block, and a test for whiteness.
 
-The series is cut into segments of N rows, whose means are removed: a change over more than a segment is drift and is
-not counted. Removing the mean makes white noise seem to correlate by -1 / N at every lag, which is corrected. The
-remaining bias for coloured noise is about its power at frequency 0 over N.
+The series is divided into segments of N rows, and the mean of each segment is removed: a change over more than a
+segment is drift and is not counted. The removal of the mean changes the correlation of white noise by -1 / N at every
+lag, which is corrected. The remaining bias for coloured noise is about its power at frequency 0 over N.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Remarkable properties of a characterisation, in sentences: times, clipping, lines, codes, correlation, bad fits.
 
 Everything is derived from the result of `characterise_log` alone. Sensors and axes with the same property share a
-sentence, whose numbers are ranges from the least to the greatest; properties that make a recording unusable come first.
+sentence with the ranges of its numbers; properties that make a recording unusable are first.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from imuarray.characterise.repeats import STALE_SHARE
 from imuarray.printable import listed
 
 SURE = 1e-6
-"""The probability below which a finding is significant, whatever the number of axes."""
+"""The probability below which a finding is significant, for any number of axes."""
 
 _SHARED_S = 1e-7
 """Longest interval, in s, between rows that had the same time in the source: the importer separates these by 1 ns."""
@@ -26,7 +26,7 @@ _SLOW_CHANGE = 0.3
 """Least share of an axis's variance outside its spectrum that is reported as a change of the mean."""
 
 _LEAST_SEGMENTS = 8
-"""Fewest segments of a spectrum whose sum is compared with the variance."""
+"""Fewest segments of a spectrum for a comparison of its sum with the variance."""
 
 _SLOW_SHARE = 0.95
 _ALIASES = 2

@@ -68,7 +68,7 @@ class ImuNoise:
     triads: Mapping[str, TriadNoise]
 
     def lacks(self) -> list[str]:
-        """Return the keys of Kalibr's file for which there is no figure."""
+        """Return the keys of Kalibr's file without a figure."""
         parts = {"density": "noise_density", "walk": "random_walk"}
         return [
             f"{PREFIX[quantity]}_{part}"
@@ -291,7 +291,7 @@ _UNDETERMINED = "not determined, because the noise is of another kind"
 
 
 def _yaml_key(key: str, value: float | None, bound: float | None, unit: str, verdict: str = "") -> str:
-    """Return a key, or a comment in its place where there is no figure."""
+    """Return a key, or a comment in its place without a figure."""
     if value is not None:
         return f"{key}: {_yaml_number(value)}  # {unit}"
     if bound is not None:

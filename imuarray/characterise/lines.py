@@ -11,10 +11,10 @@ three bins around it, minus the floor, the shape of W gives exactly::
     g = (L+ - L-) / (L- + L0 + L+) = 4 d / (4 + d^2)
     W(d-1)^2 + W(d)^2 + W(d+1)^2 = 3 (2 + d^2) (4 + d^2) / (4 - d^2)^2 * W(d)^2
 
-The floor at each bin is read off its neighbours: the medians of the log density of the bins below and of those above,
-without the nearest two on each side, which a line at the bin itself raises, are joined by a straight line over log
-frequency. This reproduces a power law exactly, and a line among the neighbours does not raise a median. The smoothed
-result is a trend; the curvature that it misses (a filter's corner) is estimated by the same procedure from the
+The floor at each bin is estimated from its neighbours: the medians of the log density of the bins below and of those
+above, without the nearest two on each side, which a line at the bin itself raises, are joined by a straight line over
+log frequency. This reproduces a power law exactly, and a line among the neighbours does not raise a median. The
+smoothed result is a trend; the curvature that it misses (a filter's corner) is estimated by the same procedure from the
 remainder and added (Tukey, "Exploratory Data Analysis", 1977: twicing). The median of the gamma distribution of
 averaged periodograms is below its mean; the floor is corrected for that.
 """
@@ -405,7 +405,7 @@ def _lobe(offset: float) -> float:
 
 
 def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_alarm: float) -> SpectralLine:
-    """Return the line whose strongest bin is number `at` of those looked at."""
+    """Return the line with its strongest bin at number `at` of the searched bins."""
     bin_, is_last = int(floor.bins[at]), int(floor.bins[at]) == len(spectrum.density) - 1
     noise = float(floor.density[at]) * (2 if is_last else 1)
     excess = power[bin_ - 1 : bin_ + 2] - noise * np.exp(_tilt(power, bin_) * np.arange(-1, 2))

@@ -3,7 +3,7 @@
 Rows are read in batches and blocks, never all at once, and the parts are merged (Chan, Golub and LeVeque, "Updating
 formulae and a pairwise algorithm for computing sample variances", 1979).
 
-Stale, saturated and suspect rows are left out of mean, spread and correlation: a stale row repeats the one before, a
+Stale, saturated and suspect rows are excluded from mean, spread and correlation: a stale row repeats the one before, a
 suspect row may be in other units, and a saturated row is clipped. Without saturated rows the spread is too small, so
 the number of these rows is given with it.
 """
@@ -24,10 +24,10 @@ from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS, SATURATED, STALE, SUSPECT
 
 LEFT_OUT = STALE | SATURATED | SUSPECT
-"""Flags of rows that do not count as readings."""
+"""Flags of rows that are not counted as readings."""
 
 BATCHES = 32
-"""The number of batch means whose scatter gives the standard error of the mean."""
+"""The number of batch means; the standard error of the mean is computed from their scatter."""
 
 _MIN_BATCH = 8
 _BLOCK = 1 << 16

@@ -235,7 +235,7 @@ _OCTAVE_BELOW_END = 0.42
 
 def _octave_above(cutoff: float) -> float:
     """Return the density an octave above a cutoff (relative to half the rate) below which a filter has a higher order
-    than `CHIP_ORDER`: that of a Butterworth filter by the bilinear transform, whose frequencies are tan(pi f / rate).
+    than `CHIP_ORDER`: that of a Butterworth filter by the bilinear transform, with frequencies tan(pi f / rate).
     """
     ratio = math.tan(math.pi * cutoff) / math.tan(math.pi * cutoff / 2)
     return _BEYOND_ORDER / (1 + ratio ** (2 * CHIP_ORDER))
@@ -249,7 +249,7 @@ def _beat_hz(values: Floats, rate_hz: float) -> float:
     scale = np.abs(bends).mean(axis=0)
     if (scale == 0).any():
         return 0.0
-    size = np.minimum((bends / scale) ** 2, 25.0)  # a knock must not represent the whole rest
+    size = np.minimum((bends / scale) ** 2, 25.0)  # limits the weight of a knock
     power = np.abs(np.fft.rfft((size - size.mean(axis=0)) * np.hanning(len(size))[:, None], axis=0)) ** 2
     power /= np.median(power, axis=0)
     lowest = max(8, len(power) // 500)

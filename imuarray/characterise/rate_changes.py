@@ -32,7 +32,7 @@ GAP = 3.0
 """Least interval of a gap, in median intervals of a piece."""
 
 _BLOCK_ROWS = 1 << 16
-"""Rows whose pieces are evaluated at once."""
+"""Number of rows that are evaluated at once."""
 
 LISTED = 3
 """Largest number of runs that are described individually."""
@@ -80,7 +80,7 @@ def find_rate_changes(sensor: SensorLog) -> tuple[SteadyRun, ...]:
 
 def _intervals_s(sensor: SensorLog, edges: Indices, piece_rows: int) -> Floats:
     """Return the median of the intervals in each of consecutive pieces that begin at rows `edges` (k,), and the mean of
-    those that are no gaps, in s: (k, 2).
+    those that are not gaps, in s: (k, 2).
     """
     times = np.asarray(sensor.time[int(edges[0]) : int(edges[-1]) + piece_rows + 1], np.int64)
     intervals = (np.diff(times).astype(float) * 1e-9).reshape(len(edges), piece_rows)

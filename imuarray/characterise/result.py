@@ -176,12 +176,11 @@ def characterise_log(
 ) -> dict[str, Any]:
     """Characterise the noise of the triads of `log` (or of the named `sensors`, of any kind) in one stretch at rest.
 
-    `phase` is the name of the stretch; None: the longest phase at rest. If there is none, a `Stretch` given as `phase`
-    is used, or the whole log; the result states which.
-    `scales`: calibrated counts per unit of a sensor's axes (3,), by sensor; the others are the data sheet's.
-    `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
-    `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads,
-    ConfigError for an unknown estimator.
+    `phase` is the name of the stretch; None: the longest phase at rest. Without a phase at rest, a `Stretch` given as
+    `phase` is used, or the whole log; the result states which. `scales`: calibrated counts per unit of a sensor's axes
+    (3,), by sensor; the others are the data sheet's. `estimator` of the Allan deviation; None: overlapping, or for long
+    runs decimated (`survey.EXACT_ROWS`). `progress` is called after every column. LogError for an unknown phase or
+    sensor, or a log without triads, ConfigError for an unknown estimator.
     """
     chosen_sensors = (
         [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]

@@ -68,8 +68,8 @@ class Spectrum:
         return self.rate_hz / self.segment_rows
 
     def interval(self, confidence: float = 0.95) -> tuple[Floats, Floats]:
-        """Ends (m, k) of the interval that holds the true density with `confidence`: freedom * estimate / truth is
-        chi-squared.
+        """Ends (m, k) of the interval that contains the true density with the probability `confidence`: freedom *
+        estimate / truth is chi-squared.
         """
         from scipy.special import chdtri, gammaincinv  # scipy.stats is slow to import
 

@@ -4,9 +4,10 @@ Rows are cut into runs wherever one doesn't continue the one before: at a gap, w
 was configured again or where its state is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats
 never extend across a cut.
 
-Sampling times (`SamplingIntervals`) are counted in a histogram of fixed size, whose bins of 2^-16 of a typical interval
-(1 ns at least) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile. The upper
-quartile is usually near the median; for alternating intervals it is the longer of the two, however short the other is.
+Sampling intervals (`SamplingIntervals`) are counted in a histogram of fixed size. Its bins of 2^-16 of a typical
+interval (at least 1 ns) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile.
+The upper quartile is usually near the median; for alternating intervals it is the longer of the two, however short the
+other is.
 
 Sensors that are polled in alternating order have a short and a long interval in turn: mean -+ a. Intervals then
 correlate by a^2 at even lags and -a^2 at odd ones. Independent jitter of the intervals or of the time stamps correlates
@@ -42,7 +43,7 @@ PLACES = 5
 """Number of longest gaps that are listed."""
 
 _TYPICAL = 1024
-"""Number of first intervals whose upper quartile is the typical interval."""
+"""Number of first intervals of which the upper quartile is the typical interval."""
 
 _QUARTILE = 0.75
 
@@ -64,10 +65,11 @@ class RowGap(NamedTuple):
 class SamplingIntervals:
     """Times of `rows` rows; nan with too few of them.
 
-    `median_s`; `mean_s` of the intervals that are no gaps. `alternation_s` is a if intervals are mean - a and mean + a
-    in turn, 0 if they aren't. `jitter_rms_s` is the standard deviation of the intervals without this alternation, and
-    `jitter_robust_s` the same from the median difference of intervals two rows apart, which outliers and slow changes
-    do not affect. `gaps` is the number of gaps, `gaps_s` their total duration, `longest` the longest ones.
+    `median_s`; `mean_s` is that of the intervals that are not gaps. `alternation_s` is a if intervals alternate between
+    mean - a and mean + a, otherwise 0. `jitter_rms_s` is the standard deviation of the intervals without this
+    alternation, and `jitter_robust_s` the same from the median difference of intervals two rows apart, which outliers
+    and slow changes do not affect. `gaps` is the number of gaps, `gaps_s` their total duration, `longest` the longest
+    ones.
     """
 
     rows: int

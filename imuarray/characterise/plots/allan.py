@@ -41,7 +41,7 @@ def allan_figure(result: Table) -> Figure:
 
 
 def _is_shown(axis: Table) -> bool:
-    """Return whether there is a curve; a constant series can't stand on a logarithmic scale."""
+    """Return whether the axis has a curve; a constant series can't be drawn on a logarithmic scale."""
     return bool(axis["allan"]) and any(value > 0 for value in axis["allan"]["deviation"])
 
 
@@ -83,9 +83,9 @@ def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
 
 
 def _scale(panel: Axes) -> None:
-    """Limits by the curves alone (bands may leave them), and the guide.
+    """Set the limits by the curves alone (bands may extend beyond them), and draw the guide.
 
-    The guide is a grey line of slope -1/2 below the curves: what falls like it is white noise.
+    The guide is a grey line of slope -1/2 below the curves: parts of a curve with this slope are white noise.
     """
     points = [np.asarray(line.get_xydata()).T for line in panel.get_lines()]
     lowest, highest = (float(f([f(deviation) for _, deviation in points])) for f in (np.min, np.max))

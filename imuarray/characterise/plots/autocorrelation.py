@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NORMAL_95 = 1.96
-"""Standard errors that hold 95 % of normal estimates, to either side."""
+"""Half-width, in standard errors, of the interval that contains 95 % of normal estimates."""
 
 _READING = (
     "Correlation of a reading with the one so many rows later. Of white noise 1 point in 20 leaves the grey band.\nIn "
@@ -48,7 +48,7 @@ def autocorrelation_figure(result: Table) -> Figure:
 
 
 def _is_shown(axis: Table) -> bool:
-    """Return whether there is a correlation at all: not of a constant or a very short series."""
+    """Return whether the axis has a correlation; a constant or very short series has none."""
     return "autocorrelation" in axis and any(value is not None for value in axis["autocorrelation"]["correlation"][1:])
 
 

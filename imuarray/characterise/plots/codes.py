@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_SENSORS = 12
-"""The number of rows of panels that are drawn, those with marks first."""
+"""Largest number of rows of panels; sensors with marks are preferred."""
 
 MOST_BARS = 120
-"""Wider histograms have bars of several codes."""
+"""Largest number of bars; wider histograms have bars of several codes."""
 
 _TESTS = 3
 """Number of tests that share the significance level: the share of even codes and an outlier at either end. The other
@@ -181,7 +181,7 @@ def _draw(panel: Axes, axis: Table, level: float) -> None:
             share = np.exp(-0.5 * ((x - codes["mean"]) / codes["std"]) ** 2) / (codes["std"] * sqrt(2 * pi))
             panel.plot(x, share * step, color="black", linewidth=0.8)
         else:
-            panel.set_xlim(edges[0] - 4, edges[1] + 4)  # room, so that it looks like one code
+            panel.set_xlim(edges[0] - 4, edges[1] + 4)  # space, so that a single code is drawn as a narrow bar
         _draw_marks(panel, codes, level)
         _write_marks(panel, codes["mean"], marks(axis, level))
 

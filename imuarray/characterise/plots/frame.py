@@ -39,7 +39,7 @@ _LEGEND_ROWS = 22
 
 
 class AxisCurve(NamedTuple):
-    """One axis of one sensor, how much of `SensorPanel.unit` a count is, and how it is drawn."""
+    """One axis of one sensor, its scale in `SensorPanel.unit` per count, and its colour and dashes."""
 
     sensor: Table
     axis: Table
@@ -59,7 +59,9 @@ class SensorPanel:
 
     @property
     def is_crowded(self) -> bool:
-        """Return whether there are more sensors than the palette has colours: thin lines without bands then."""
+        """Return whether there are more sensors than colours in the palette; they are then drawn as thin lines without
+        bands.
+        """
         return len(self.sensors) > len(COLOURS)
 
     @property
@@ -94,7 +96,7 @@ def unit_of(sensor: Table) -> str:
 
 
 def scale_of(axis: Table, unit: str) -> float:
-    """Return how much of the `unit` a count of this axis is, without its sign."""
+    """Return the size of a count of this axis in `unit`, without its sign."""
     return 1.0 if unit == "counts" else abs(float(axis["unit_per_count"]))
 
 
@@ -135,7 +137,7 @@ def panel_figure(
 
 
 def new_figure(result: Table, title: str) -> Figure:
-    """Return an empty figure that says what it shows; MissingExtraError if there is no matplotlib."""
+    """Return an empty figure with a title; MissingExtraError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -153,7 +155,7 @@ def new_figure(result: Table, title: str) -> Figure:
 
 
 class Margins(NamedTuple):
-    """Inches beside each panel for its labels: on the left and the right, above and below."""
+    """Space around each panel for its labels in inches: on the left and the right, above and below."""
 
     left: float
     right: float
@@ -166,7 +168,7 @@ _TITLE_IN = 0.4
 _FOOT_LINE_IN = 0.15
 _EDGE_IN = 0.12
 _LABEL_IN = (0.72, 0.36)
-"""From a panel to the names of its vertical and horizontal axes: past the longest tick labels."""
+"""Distances in inches from a panel to the names of its vertical and horizontal axes, beyond the longest tick labels."""
 
 
 def arrange(figure: Figure, panels: npt.NDArray[np.object_], margins: Margins) -> None:
@@ -234,8 +236,8 @@ def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) ->
 
 
 def legend(panel: Axes, kind: SensorPanel, more: Sequence[Artist], notes: Mapping[str, str] | None = None) -> None:
-    """Draw a legend beside the panel: sensors by colour, each with its note below, axes by dashes, and what `more`
-    there is.
+    """Draw a legend next to the panel: sensors by colour, each with its note below, axes by dashes, and the artists
+    `more`.
     """
     from matplotlib.lines import Line2D
 
@@ -267,7 +269,7 @@ def label(sensor: Table) -> str:
 
 
 def count_axes(result: Table) -> int:
-    """Return how many axes share a figure's chance of a false alarm; at least 1."""
+    """Return the number of axes among which a figure's probability of a false alarm is divided; at least 1."""
     return max(1, sum(len(sensor["axes"]) for sensor in result["sensors"]))
 
 

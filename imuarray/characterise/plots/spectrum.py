@@ -103,7 +103,7 @@ def interval(averaged: Bands, freedom: float) -> tuple[Floats, Floats]:
 
 
 def _is_shown(axis: Table) -> bool:
-    """Return whether there is a density; a constant series can't stand on a logarithmic scale."""
+    """Return whether the axis has a density; a constant series can't be drawn on a logarithmic scale."""
     return any(value for value in axis.get("density", ())[_BINS])
 
 
