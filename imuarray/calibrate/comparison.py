@@ -6,7 +6,7 @@ weighted mean is improbably large for chi-squared with n - 1 degrees of freedom,
 
 The change that all U units of a design have in common along one of their own axes, c_k in calibration k, is separated
 from the change of each unit by analysis of variance: ``F = U sum c_k^2 / (n - 1)`` over the mean square of the rest.
-The comparison also states how much of it opposing axes cancel.
+The comparison also states the part of this change that opposing axes cancel.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Change:
 
     `values` and `sems` (standard errors) are in `unit`. `p_value` is the probability of differences at least as large
     without a change, corrected for the number of figures. `first` and `last` are the two calibrations that differ most,
-    `difference` and `sigmas` (standard errors) by how much.
+    `difference` is their difference, in `unit`, and `sigmas` the same in standard errors.
     """
 
     sensor: str

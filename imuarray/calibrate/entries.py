@@ -65,7 +65,7 @@ def to_table(record: object) -> dict[str, Any]:
 
 
 def _plain(value: object) -> object:
-    """Convert to what TOML has: numbers, texts, lists, tables."""
+    """Convert to the types of TOML: numbers, texts, lists, tables."""
     if isinstance(value, np.ndarray):
         return [_plain(item) for item in value] if value.ndim else float(f"{value:.9g}")
     if isinstance(value, np.floating):
@@ -148,7 +148,7 @@ def _array(value: object, shape: tuple[int, ...]) -> Floats | None:
 
 
 def _is_number(value: object) -> bool:
-    """Return whether a value is a number, and not so large that its fourth power overflows."""
+    """Return whether a value is a number with a fourth power that does not overflow."""
     return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) < _BEYOND)
 
 

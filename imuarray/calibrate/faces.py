@@ -46,7 +46,7 @@ _UPS = np.array([up_vector(up) for up in UP_AXES])
 
 
 def check_labels(readings: PoseReadings, up_box: Floats) -> None:
-    """Raise CalibrationError for faces whose labels are wrong, and for accelerometers whose axes differ from those in
+    """Raise CalibrationError for faces with wrong labels, and for accelerometers with axes that differ from those in
     the log; the message states the faces or the axes.
 
     `up_box` (k, 3) are the directions according to the labels.
@@ -174,7 +174,7 @@ def determine_response(faces: Sequence[Pose]) -> bool:
 
 
 def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tuple[int, str] | None:
-    """Return the index of the face that leaned, and how far in words; None if none did.
+    """Return the index of the face that leaned, and the lean in words; None if no face leaned.
 
     The mean of all accelerometers is treated as one triad. The error of a face is its distance from the straight line
     through the other faces. With six faces, the two opposite faces of a pair have the same distance; then the face is
@@ -186,7 +186,7 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
     force = readings.force_box_g()[:, used].mean(axis=0)
     hat = design @ np.linalg.pinv(design)
     residual = force - hat @ force
-    free = np.maximum(1 - np.diag(hat), 1e-9)  # a face that the others do not determine has none
+    free = np.maximum(1 - np.diag(hat), 1e-9)  # a face that the others do not determine has no residual
     squares = (residual**2).sum(axis=1)
     whole = float(squares.sum())
     freedom = 3 * (len(used) - round(np.trace(hat)) - 1)

@@ -210,8 +210,8 @@ def misfit_probability(with_it: float, without: float, number: int, freedom: flo
 
 
 def find_outlier(p_values: Sequence[float], sizes: Floats, smallest: float) -> int | None:
-    """Return the index of the least probable pose or turn whose error is at least `smallest` (in the unit of `sizes`),
-    if it is significant given their number; else None.
+    """Return the index of the least probable pose or turn with an error of at least `smallest` (in the unit of
+    `sizes`), if it is significant for this number of them; otherwise None.
     """
     candidates = np.where(sizes >= smallest, p_values, 1.0)
     index = int(candidates.argmin())

@@ -67,8 +67,8 @@ the data sheet's tolerance as it is assumed (`turns.TOLERANCE`)."""
 
 
 def uncertain_columns(response_lsb_per_unit: Floats, covariance: Floats) -> str:
-    """Return the box axes ("XZ") whose column of a response (3, 3) with this covariance (9, 9), row by row, is not
-    known to `COLUMN_ERROR` of the scale factors: the gyroscope was hardly turned about them.
+    """Return the box axes ("XZ") for which the column of a response (3, 3) with this covariance (9, 9), row by row, is
+    not known to `COLUMN_ERROR` of the scale factors, because the gyroscope was hardly turned about them.
     """
     scale = np.linalg.norm(response_lsb_per_unit, axis=1)
     shares = np.sqrt(np.diag(covariance)).reshape(3, 3) / scale[:, None]
@@ -279,7 +279,7 @@ class Calibration:
         if stored.chip not in (None, sensor.chip):
             raise CalibrationError(f"{sensor.where}: calibrated as chip {stored.chip}, logged as {sensor.chip}")
         ratio = stored.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
-        if (np.abs(np.log2(ratio)) > 1).any():  # no chip deviates by a factor of two, but another range does
+        if (np.abs(np.log2(ratio)) > 1).any():  # no chip deviates by a factor of two; a different range does
             raise CalibrationError(
                 f"{sensor.where}: calibrated at {stored.scale_lsb_per_unit[0]:.4g} counts per {stored.unit}, logged at"
                 f" {sensor.sensitivity:.4g}: another range"

@@ -50,10 +50,10 @@ count is lost by rounding.
 """
 
 LISTED = 5
-"""Knocks whose times are listed."""
+"""Largest number of knocks that are listed with their times."""
 
 _NEIGHBOURS = 4
-"""Number of windows before and after a knock whose mean is the attitude of the box."""
+"""Number of windows before and after a knock over which the attitude of the box is averaged."""
 
 
 class Knock(NamedTuple):

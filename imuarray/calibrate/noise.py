@@ -205,8 +205,9 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
 
 
 _ENOUGH_SEGMENTS = 16
-"""Least number of segments whose variances give the standard error of the pooled variance; with fewer, the formula for
-white noise is used."""
+"""Fewest segments from whose variances the standard error of the pooled variance is computed; with fewer, the formula
+for white noise is used.
+"""
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,7 @@ def reading_noise(stretches: Stretches, false_alarm: float | None) -> ReadingNoi
     """Measure the noise of single readings, pooled over the `stretches` of one sensor at rest; None if no segment has
     two valid readings.
 
-    `false_alarm` is the probability that the spectrum of an axis without lines shows one; None to look for no lines.
+    `false_alarm` is the probability that a line is detected on an axis without lines; None: lines are not searched for.
     """
     clock = clock_of(stretches)
     products = Autocovariance(lags=1, columns=3, segment_rows=SEGMENT_ROWS)
@@ -294,7 +295,7 @@ class _PooledSquares:
 
 
 def _neighbours(products: Autocovariance) -> Floats | None:
-    """Return the correlation (3,) of neighbouring readings; None if there are none."""
+    """Return the correlation (3,) of neighbouring readings; None without neighbours."""
     correlation = products.correlation()
     if not np.isfinite(correlation[0]).any() and not products.result().rows:
         return None
@@ -318,9 +319,9 @@ def calibrate_noise(
     over all still stretches of one log or several. Changes with temperature are removed from the drift by the slopes of
     `known`.
 
-    Still stretches are phases that name a face, `static` and `room`; in a log without such phases they are detected by
-    the accelerometers. CalibrationError if there are none. `progress` is called with the step, the number of sensors
-    done, and their total.
+    Still stretches are phases that name a face, `static` and `room`; in a log without these phases they are detected by
+    the accelerometers. CalibrationError without still stretches. `progress` is called with the step, the number of
+    sensors done, and their total.
     """
     require_logs(logs, "calibrate_noise(*logs)")
     return _calibrated(logs, known, _FALSE_ALARM, progress)
@@ -333,7 +334,7 @@ def _calibrated(
     progress: Callable[[str, int, int], None],
 ) -> Calibration:
     """Do what `calibrate_noise` does; `false_alarm` is the probability that a line is reported on any axis of a log
-    without lines, None to look for no lines.
+    without lines, None if lines are not searched for.
     """
     for log in logs:
         log.keep_rows()
@@ -360,8 +361,8 @@ def with_noise_of(
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
     """Return the calibration with the noise measured in the log at rest, for the sensors (only `names`, unless that is
-    empty) that it has no noise of; without spectral lines, which fusion does not use. CalibrationError if the log
-    determines no noise. `progress` is called as by `calibrate_noise`.
+    empty) without noise in the calibration; without spectral lines, which fusion does not use. CalibrationError if the
+    log determines no noise. `progress` is called as by `calibrate_noise`.
     """
     calibrated = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL

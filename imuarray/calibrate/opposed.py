@@ -1,8 +1,8 @@
 """Cancellation of biases and temperature drift by anti-parallel axes of one design (the paper's section 2.1).
 
-An error that all units of a design share adds up over parallel axes and cancels between opposite ones. It is evaluated
-in the calibrated biases, turned into the box frame (`cancellation`), and in the slopes with temperature
-(`opposed_slopes`).
+An error that all units of a design have in common remains in the mean of parallel axes and cancels between opposite
+ones. It is evaluated in the calibrated biases, turned into the box frame (`cancellation`), and in the slopes with
+temperature (`opposed_slopes`).
 
 In the box frame the axes of a pair have opposite signs, so the mean of the pair drifts with half the difference of the
 two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; with parallel axes it would be 0.263. Opposed
@@ -99,7 +99,7 @@ class OpposedSlopes:
 def opposed_slopes(
     sensors: Sequence[SensorLog], calibrations: Mapping[str, SensorCalibration]
 ) -> Iterator[OpposedSlopes]:
-    """Yield every pair of axes of two `sensors` of one chip and range whose nominal directions are opposite."""
+    """Yield every pair of axes with opposite nominal directions of two `sensors` of one chip and range."""
     for first, second in combinations(sensors, 2):
         if (first.chip, first.quantity, first.range) != (second.chip, second.quantity, second.range):
             continue

@@ -280,7 +280,7 @@ def _slow_ends(mean: Floats) -> tuple[int, int]:
         return 0, 0
     if len(mean) < 2 * _MOST_SLOW + _NEXT_WINDOWS:
         return 1, 1
-    # Windows beside a stall have fewer rows, and a larger error: the tail of the changes contains them.
+    # Windows next to a stall have fewer rows and a larger error: they are in the tail of the changes.
     noise = np.quantile(np.abs(np.diff(mean, axis=0)), 0.9, axis=0) / _TAIL_OF_CHANGES
     limit = SLOW_MOTION * noise * np.sqrt(1 + 1 / _NEXT_WINDOWS)
 

@@ -37,8 +37,9 @@ from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 WINDOW_S = 0.1
-"""Length of the windows whose means are compared: short compared with turns by hand, long compared with the times
-between the readings of different sensors."""
+"""Length in s of the windows of which the means are compared: short compared with turns by hand, long compared with the
+times between the readings of different sensors.
+"""
 
 _CHUNK = 4096
 """Number of windows in memory at a time."""
@@ -199,7 +200,7 @@ def _updated(
             design[:, axis, 3 * axis : 3 * axis + 3] = rate_dps
             design[:, axis, 9 + axis] = 1.0
             design[:, axis, 12 + axis] = slope_dps @ response[axis]
-        deviation = counts - rate_dps @ response.T  # from what the calibration predicts: the fit is of changes
+        deviation = counts - rate_dps @ response.T  # from the prediction of the calibration: the fit is of changes
         if variance is None:
             variance = _noise(deviation)
         information += np.einsum("nip,i,niq->pq", design, 1 / variance, design)

@@ -162,8 +162,8 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSe
 
 
 def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
-    """Return the thermometer of a log, averaged over `width_s`: one whose zero is known (a separate thermometer before
-    those of the chips), or else one that measures changes only ("relative"); None without any.
+    """Return the thermometer of a log, averaged over `width_s`: a thermometer with a known zero (preferably a separate
+    one, otherwise a chip's), or else one that measures changes only ("relative"); None without any.
 
     For three or more chips of one kind it is the median, which a single late or failed thermometer does not affect.
     """

@@ -11,9 +11,9 @@ for a lag.
 
 An axis that carries the gravity g (in units of g) has the slope ``bias slope + g * sensitivity * scale slope``. One
 orientation gives one such equation with two unknowns (section 5.2.5 of the paper); logs of opposite faces give both.
-The result also states how much pairs of opposing axes cancel (`imuarray.calibrate.opposed`).
+The result also states the cancellation by pairs of opposing axes (`imuarray.calibrate.opposed`).
 
-Slopes are fitted by least squares in noise whose slow part is unknown, by cosine transform. The noise of the rows
+Slopes are fitted by least squares, by cosine transform, in noise with an unknown slow part. The noise of the rows
 (means of segments, one step apart) is modelled as white noise plus a wander: a random walk, or a Gauss-Markov process
 of some correlation time. Cosines of the row number (DCT-II) are the principal components of a random walk with unknown
 level (its increments' Neumann boundary), and nearly those of the Gauss-Markov processes; the constant is the zeroth
@@ -70,7 +70,9 @@ _CORRELATION_TIMES = (0.5, 0.15, 0.05, 0.015)
 """Correlation times as shares of the log's length; together they have the prior probability of a random walk."""
 
 _SLOWEST = 8
-"""Fewest cosines whose residuals scale a standard error: five or more degrees of freedom with three slow regressors."""
+"""Fewest cosines of which the residuals scale a standard error: five or more degrees of freedom with three slow
+regressors.
+"""
 
 _CONTRIBUTION = 0.8
 """Share of an estimate's variance in the cosines whose residuals scale its standard error."""
@@ -498,7 +500,7 @@ def _heating(
     reference_degc: float,
     segment_s: float,
 ) -> HeatingFit:
-    """Fit one sensor of one log; CalibrationError if there is too little to fit."""
+    """Fit one sensor of one log; CalibrationError if the data are not sufficient for a fit."""
     segments = segment_means(sensor, segment_s, [phase for phase in log.phases if phase.name == "motion"])
     if len(segments.time_s) < _FEWEST_SEGMENTS:
         raise CalibrationError(

@@ -34,7 +34,7 @@ FEWEST_TURNS = 6
 """Twelve equations for nine unknowns."""
 
 FEWEST_MORE_TURNS = 3
-"""Fewest turns of a gyroscope whose response was measured before: six equations for the three unknowns of a column."""
+"""Fewest turns of a gyroscope with an already measured response: six equations for the three unknowns of a column."""
 
 LONGEST_S = 20.0
 """Longest turn; the integrated noise and bias of a longer one exceed its information."""
