@@ -477,7 +477,7 @@ def _ros2_entry(nanoseconds: int, entry: _Entry) -> bytes:
 def _entries(
     entries: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
 ) -> Iterator[_ChannelMessages]:
-    """Yield the entries in the order of their times, one part for each; nothing without entries."""
+    """Yield the entries in the order of their times, one part for each; no messages without entries."""
     if not entries:
         return
     time_ns = np.array([entry.time_ns + zero_ns for entry in entries], np.int64)
