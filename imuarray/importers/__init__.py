@@ -21,7 +21,7 @@ from imuarray.export.formats import CSV_MAGIC, CSV_VERSION
 from imuarray.spelling import guess_file
 
 FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.mimu4444"})
-"""The named formats and the module of each (loaded on demand), whose importer is `import_file`."""
+"""The named formats and the module of each, which is loaded on demand; its importer is `import_file`."""
 
 NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
 """Epoch of a log from a source without wall time; an event of kind "imported" in the log states this."""
@@ -36,7 +36,7 @@ _CSV = "imuarray.importers.exported_csv"
 MAGICS: Mapping[bytes, str] = MappingProxyType(
     {b"PK\x03\x04": "imuarray.importers.exported_npz", CSV_MAGIC.encode(): _CSV, CSV_HEAD: _CSV}
 )
-"""First bytes, and the module that reads such a file."""
+"""First bytes of a file, and the module that reads it."""
 
 
 @dataclass(frozen=True)

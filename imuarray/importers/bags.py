@@ -29,7 +29,7 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "sensor_msgs/msg/FluidPressure": ("fluid_pressure",),
     "sensor_msgs/msg/Temperature": ("temperature",),
 }
-"""The columns of each type of message, besides `TIMES`."""
+"""The columns of each type of message, in addition to `TIMES`."""
 
 TIMES = ("stamp", "received")
 

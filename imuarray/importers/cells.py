@@ -111,7 +111,7 @@ class CellColumn(NamedTuple):
 class TextTable:
     """The rows of an open file with `[file]` applied. With `named` the first row holds the columns' names.
 
-    `remarks` lists what was left out.
+    `remarks` lists the omitted lines.
     """
 
     def __init__(self, file: BinaryIO, source: str, layout: FileTable, named: bool) -> None:
@@ -349,9 +349,9 @@ _LABELLED = re.compile(
 
 
 def labelled(cells: Sequence[str]) -> list[str]:
-    """Return a row whose values have labels ("ax: 0.02, ay: -0.98 g") as their labels, joined by commas, and the
-    values; [] of a row without a label. The labels are the kind of the row, because text between the readings has other
-    labels. A time stamp in brackets, "[1234] ax: 0.02", and values separated by a bar are separate values.
+    """Return a row of labelled values ("ax: 0.02, ay: -0.98 g") as the labels, joined by commas, and the values; [] for
+    a row without a label. The labels are the kind of the row, because text between the readings has other labels. A
+    time stamp in brackets, "[1234] ax: 0.02", and values separated by a bar are separate values.
     """
     labels, values = [], []
     for cell in map(str.strip, chain.from_iterable(map(_labelled_parts, cells))):
@@ -720,7 +720,7 @@ def nanoseconds(column: CellColumn, unit_ns: int, last_ns: int | None) -> npt.ND
     """Return (n,) int64 ns, exact, of cells in units of `unit_ns`; SourceError unless each is later than the previous
     one.
 
-    `last_ns` is the time of the row before the first one here, None if there is none.
+    `last_ns` is the time of the row before the first one; None without one.
     """
     return TimeColumn("ns", unit_ns, last_ns=last_ns).nanoseconds(column)
 

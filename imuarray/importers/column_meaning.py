@@ -272,7 +272,7 @@ def _triads(
                     fourth = ""  # a column that rows of other kinds need
                 is_time = _FOURTH[axes] == "0" and fourth in names and increases(columns[names.index(fourth)])
                 if fourth in names and fifth not in names and not is_time:
-                    continue  # four numbers: a quaternion, motors, channels
+                    continue  # four numbers are a quaternion, motors or channels
                 indices = (names.index(stems[0]), names.index(stems[1]), names.index(stems[2]))
                 if used.intersection(indices) or taken.intersection(indices):
                     continue
@@ -375,7 +375,9 @@ def _with_quantity(
 
 
 _MOST_OF_ONE_SENSOR = 5
-"""Most columns besides time of a table of one sensor: its axes, and perhaps an accuracy or a magnitude."""
+"""Largest number of columns, in addition to time, in a table of one sensor: its axes, and possibly an accuracy or a
+magnitude.
+"""
 
 _PLAIN_COLUMNS = 9
 """Largest number of columns without names that are assumed to be force, rate and field in this order."""

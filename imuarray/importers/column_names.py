@@ -18,7 +18,7 @@ SPELLINGS: Mapping[str, str] = {
     "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
     "µs": "us", "usec": "us",
 }  # fmt: skip
-"""Spellings of units in names of columns, in lower case, besides those that maps may have (`imuarray.units`)."""
+"""Spellings of units in names of columns, in lower case, in addition to those allowed in maps (`imuarray.units`)."""
 _BEGIN = r"(?<![a-z])"
 """Pattern before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
 QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (

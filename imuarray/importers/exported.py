@@ -83,7 +83,7 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
         tables = {str(name): dict(table) for name, table in head["tables"].items()}
         sensors = [table for name, table in tables.items() if name not in TRACK_COLUMNS]
         preamble_fields = {name: head[name] for name in ("source", "epoch", "config", "software")}
-        preamble_fields["frame_rate_hz"] = head.get("frame_rate_hz", 0.0)  # earlier exports don't say it
+        preamble_fields["frame_rate_hz"] = head.get("frame_rate_hz", 0.0)  # missing in earlier exports
         listed = [{name: table[name] for name in _FIELDS} for table in sensors]
         preamble = Preamble.from_json(json.dumps({**preamble_fields, "sensors": listed}))
         expected_tables = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(

@@ -41,7 +41,7 @@ def is_exported(path: Path) -> bool:
         return False
     try:
         return PARQUET_HEAD.encode() in (parquet.read_schema(path).metadata or {})
-    except Exception:  # whatever is wrong with the file, another reader will name it
+    except Exception:  # another reader reports the fault of the file
         return False
 
 

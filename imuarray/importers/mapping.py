@@ -211,7 +211,7 @@ class TimeTable(BaseModel):
 
     @property
     def is_date(self) -> bool:
-        """True if the column holds dates or times of day."""
+        """True if the column contains dates or times of day."""
         return self.unit is not None and (self.unit == ISO or is_date_format(self.unit))
 
 
@@ -241,7 +241,7 @@ class ThermometerTable(BaseModel):
 
 class RowSettings(BaseModel):
     """The rows and the time of an item: those of `[time]` unless `time_column` names another column; rows of `kind`
-    only, if `[file] kind_column` distinguishes kinds or a recording holds several tables (the topics of a bag).
+    only, if `[file] kind_column` distinguishes kinds or a recording contains several tables (the topics of a bag).
     """
 
     model_config = _STRICT
@@ -278,7 +278,7 @@ class SensorTable(LogColumn):
     `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
     with `bits` they are two's complement of that number of bits, even if they were read as unsigned. A log stores codes
     of up to 32 bits without loss: `bits`, or the number that range times sensitivity requires. Values of `columns`
-    times `factor` are in `unit`; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
+    times `factor` are in `unit`; `signs` ("+-+") changes the sign of axes for which the columns have the opposite sign.
     `bandwidth_hz` is the configured -3 dB bandwidth of the chip, 0 if unknown. `gravity_columns` is the gravity that a
     program subtracted, in `unit`; it is added again. `attitude_columns` is the unit quaternion, w first, from the
     sensor's axes to a level frame with z up, which a program used to subtract gravity; 1 g is added again along up.

@@ -74,7 +74,7 @@ def _propose_zip(path: Path, join_parts: bool) -> Proposal:
 
 
 def _propose_kinds(layout: TextLayout, rows: Sequence[Sequence[str]], path: Path) -> Proposal:
-    """Propose a map of a text whose rows begin with their kind."""
+    """Propose a map of a text with the kind at the beginning of each row."""
     kinds = sorted({row[0] for row in rows})
     proposal = Proposal(layout, ["column = 1   # ?", 'unit = "ms"   # ?'])
     if len(kinds) > 1:
@@ -171,7 +171,7 @@ def _first_rows(source: RecordingRows, kind: str, names: Sequence[str]) -> list[
 
 
 def _add_kind(proposal: Proposal, kind: str, partial: Proposal) -> None:
-    """Add what is proposed for the rows of a kind ("" if there is one kind)."""
+    """Add the proposal for the rows of a kind ("" for a single kind)."""
     for item in partial.items:
         if kind:
             item.insert(2, f"kind = {quoted(kind)}")
@@ -244,8 +244,8 @@ _FEW_DATES = 0.5
 
 
 class _FolderFile(NamedTuple):
-    """A text of a folder: its name without suffix, its path, the names of its columns, what is proposed for it, and
-    the times of its first rows (empty if they are not known).
+    """A text of a folder: its name without suffix, its path, the names of its columns, its proposal, and the times of
+    its first rows (empty if they are not known).
     """
 
     name: str
@@ -412,7 +412,7 @@ def _numbered_kinds(
 
 
 def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Sequence[Sequence[str]]) -> None:
-    """Propose the sensors of a kind of rows whose columns after that of the kind have names."""
+    """Propose the sensors of a kind of rows with named columns after that of the kind."""
     layout = proposal.layout
     named = [name or f"#{number}" for number, name in enumerate(names)]  # values without a label, as stamps are
     places = layout.kind_column if isinstance(layout.kind_column, list) else [0]

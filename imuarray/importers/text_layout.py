@@ -370,8 +370,8 @@ SENTENCES: Mapping[str, list[str]] = {
     "RAWIMUSXA": [*_HEAD[:2], "info", "type", *_INCREMENTS],
 }
 """Columns of sentences after their names: VectorNav's sensors (VN-100 user manual, ASCII messages), and NovAtel's
-RAWIMU (OEM7 commands and logs reference manual), whose increments are in the order z, -y, x.
+RAWIMU (OEM7 commands and logs reference manual), which has increments in the order z, -y, x.
 """
 
 INVERTED_Y = frozenset({"RAWIMUA", "RAWIMUSA", "RAWIMUXA", "RAWIMUSXA"})
-"""Sentences whose y axis has the opposite sign."""
+"""Sentences with the opposite sign of the y axis."""

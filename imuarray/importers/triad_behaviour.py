@@ -164,7 +164,7 @@ class Sphere(NamedTuple):
 
 
 def fit_sphere(forces: Floats) -> Sphere | None:
-    """Return the sphere of forces (n, 3), whatever their offsets; None if they do not span one.
+    """Return the sphere of forces (n, 3) with any offsets; None if their directions do not determine one.
 
     |f|^2 = 2 f . c + r^2 - |c|^2 is linear in the centre c and in r^2 - |c|^2.
     """
