@@ -155,7 +155,7 @@ class ChipSpec:
 
     @property
     def has_thermometer(self) -> bool:
-        """True if its readings come with the temperature of the chip."""
+        """True if its readings include the temperature of the chip."""
         return self.thermometer is not None
 
     def rate_hz(self, asked: float | None) -> float:
@@ -324,12 +324,12 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             identity=adxl345.DEVID,
             label="ADXL{}",
             burst_bytes=8,
-            sensitivity=dict.fromkeys((2.0, 4.0, 8.0, 16.0), 256.0),  # full resolution, whatever the range: ADX-40
+            sensitivity=dict.fromkeys((2.0, 4.0, 8.0, 16.0), 256.0),  # full resolution at every range: ADX-40
             rates_hz=_ADXL345_RATES_HZ,
             default_rate_hz=100.0,
             has_fifo=True,
             spi=SpiRules(5_000_000, count_on=0x40, address_bits=0x3F),  # ADX-80
-            proposed={"range": 16, "rate_hz": 400},  # at 1600 Hz and above only even codes come: ADX-47
+            proposed={"range": 16, "rate_hz": 400},  # at 1600 Hz and above all codes are even: ADX-47
         ),
         "bma180": ChipSpec(
             quantity="specific_force",
@@ -383,7 +383,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             identity=bmp180.CHIP_ID,
             label="BMP{}",
             burst_bytes=0,
-            rates_hz=(1.0, 2.0, 4.0, 8.0),  # how often it is asked; it converts only when asked (BMP-51)
+            rates_hz=(1.0, 2.0, 4.0, 8.0),  # rates of requests; it converts only on request (BMP-51)
             default_rate_hz=4.0,
             conversions_s=(0.0045, 0.0255),  # temperature, pressure: BMP-40, BMP-44
         ),
@@ -393,7 +393,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             identity=bmp280.CHIP_ID,
             label="BMP{}",
             burst_bytes=10,
-            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked (BMP-107)
+            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # rates of requests (BMP-107)
             default_rate_hz=4.0,
             conversions_s=(0.043225,),  # BMP-109
         ),
@@ -403,7 +403,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             identity=bmp388.CHIP_ID,
             label="BMP{}",
             burst_bytes=7,
-            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked (BMP-207)
+            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # rates of requests (BMP-207)
             default_rate_hz=4.0,
             conversions_s=(0.043,),  # BMP-209
         ),
@@ -429,7 +429,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             count_bits=18,
             rates_hz=(1.0, 10.0, 20.0, 50.0, 100.0, 200.0, 1000.0),  # MMC-16
             default_rate_hz=100.0,
-            bandwidths_hz={  # MMC-13: a measurement takes its time
+            bandwidths_hz={  # MMC-13: limited by the time of a measurement
                 **dict.fromkeys((1.0, 10.0, 20.0, 50.0, 100.0), (100.0, 200.0, 400.0, 800.0)),
                 200.0: (200.0, 400.0, 800.0),
                 1000.0: (800.0,),

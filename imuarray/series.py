@@ -20,7 +20,9 @@ else:
     COMPILED = True
 
 _BLOCK = 1 << 16
-"""Values of a series whose differences at all distances are summed together, so that they stay in the cache."""
+"""Number of values of a series for which the differences at all distances are summed together, so that they stay in the
+cache.
+"""
 
 
 def true_runs(flags: Booleans) -> tuple[Indices, Indices]:

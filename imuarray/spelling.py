@@ -27,7 +27,9 @@ def guess(word: str, allowed: Iterable[str]) -> str:
 
 
 def guess_file(path: str | PathLike[str]) -> str:
-    """Return `; did you mean FILE?` for the file in the same folder whose name is most like that of `path`, else ""."""
+    """Return `; did you mean FILE?` for the file in the same folder with the name most similar to that of `path`, else
+    "".
+    """
     missing = Path(path)
     try:
         names = [entry.name for entry in islice(missing.parent.iterdir(), _MOST_FILES)]
