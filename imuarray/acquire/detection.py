@@ -117,7 +117,7 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
     occupied = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
     owned = _find_owned_addresses(bus)
     occupied |= {(None, line.address) for line in owned if line.address is not None}
-    configured = {mux, *(sensor.address for sensor in array.sensors)}  # they have lines already
+    configured = {mux, *(sensor.address for sensor in array.sensors)}  # they are in the list already
     detections += [line for line in owned if line.address not in configured]
     return detections if owner else detections + _unconfigured_chips(mux, occupied, bus)
 

@@ -289,7 +289,7 @@ class Poll:
         if adapter.time_outs:
             segment.note_answer()
         start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
-        self.summary.uncertain += not certain and buffer.queue is None  # those of a queue have bounds
+        self.summary.uncertain += not certain and buffer.queue is None  # times of a queue have bounds
         if buffer.has_failed:
             self.health.note_arrival(buffer, start_ns)
         buffer.add(burst, start_ns, doubtful=is_repeated or not certain)

@@ -72,7 +72,7 @@ class LinuxBus:
         self._device_files = DEVICE_FILES if device_files is None else device_files
         self._others: dict[str, LinuxBus] = {}
         self._spi = SpiPorts()
-        self._together = [self]  # with the channels, for whose removal the kernel also waits
+        self._together = [self]  # with its channels: the kernel waits until they are closed too
         self._entry: Entry | None = None
         self._alone = True
         self._known: dict[str, int] = {}

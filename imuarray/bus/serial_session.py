@@ -111,7 +111,7 @@ class Admission:
         places = np.flatnonzero(due)
         order = numbers[places] << 8 | names[places]
         unusual_us = np.abs(sent_us[places] - numbers[places] * self._period_us - self._usual_us)
-        ranks = np.lexsort((unusual_us, order))  # of two frames of one number, the one with the usual delay
+        ranks = np.lexsort((unusual_us, order))  # of two frames with one number, take the one with the usual delay
         places = self._increasing(order[ranks], sent_us[places[ranks]], places[ranks])
         if len(places):
             self._usual_us = int(sent_us[places[-1]] - numbers[places[-1]] * self._period_us)
@@ -166,7 +166,7 @@ class Admission:
         one.
         """
         follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
-        if not follows.all():  # one that does not may precede others that do
+        if not follows.all():  # a frame that does not follow may precede others that do
             newest, newest_us = self._newest, self._newest_us
             for row, (at, at_us) in enumerate(zip(order.tolist(), sent_us.tolist(), strict=True)):
                 follows[row] = at > newest and at_us >= newest_us

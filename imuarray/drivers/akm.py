@@ -70,7 +70,7 @@ class Ak8963(ChipDriver):
                 " address: connect them to two channels"
             )
         for host in hosts:
-            if mpu6500.MASTER_ON.of(host.peek(mpu6500.USER_CTRL)[0]):  # by another program; it closes the bypass
+            if mpu6500.MASTER_ON.of(host.peek(mpu6500.USER_CTRL)[0]):  # set by another program; it closes the bypass
                 host.change(mpu6500.MASTER_ON(0))
             host.change(mpu6500.BYPASS(1))
 

@@ -36,7 +36,7 @@ _SOFT_RESET = 0xB6
 _EEPROM_DOWNLOAD_S = 0.020  # the 10 us of the data sheet are not enough: BMA-53
 _SELF_TEST_NS = 12_000_000  # the test lasts less than 10 ms: BMA-104
 _SELF_TEST_LSB = 200
-_SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as the test, and show motion during it
+_SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as the test, and show motion
 _SELF_TEST_GAP_NS = 2_000_000
 """Longest interval in ns between two readings in self-test: the deflection lasts less than 10 ms in total (BMA-104)."""
 _SELF_TEST_SIGMAS = 4.0

@@ -178,7 +178,7 @@ class FifoClock:
         if self._window is None or overrun or not self._cut(newest, from_ns, end_ns):
             self._begin()
         window = self._window
-        if window is None:  # the first count: the newest sample is half a period old, within half a period
+        if window is None:  # the first count: the newest sample is half a period old, with half a period of error
             start_ns, first = (from_ns + end_ns - self.period_ns) / 2, newest
             low, high = self._periods
             slack_ns = max(self.period_ns - low, high - self.period_ns)

@@ -346,7 +346,7 @@ def _cyclic_reduction(before: Floats, after: Floats, alone: Floats) -> Floats:
     """
     apart, result = 1, alone
     while apart < len(before) and max(np.abs(before).max(), np.abs(after).max()) > _NEGLIGIBLE:
-        later, sooner = before[apart:], after[:-apart]  # the factors of rows that have such a neighbour
+        later, sooner = before[apart:], after[:-apart]  # the factors of rows with a neighbour at this distance
         through = later * sooner
         own = np.ones(len(before))
         own[apart:] -= through

@@ -58,7 +58,7 @@ def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None
 
 def consistency_of(white: RowSource) -> Consistency | None:
     """Return the consistency of `whitened` errors (n, 3), read block by block; None for fewer than twenty."""
-    from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
+    from scipy.special import gammaincinv  # for the inverse chi-squared distribution: scipy.stats is slow to import
 
     if len(white) < _FEWEST:
         return None

@@ -452,7 +452,7 @@ def _smoothed(
         first = supervised[0]  # faults are detected and reported once
         inner: Pipeline[FrameBlock] = FramePipeline()
         again = MaskedPipeline(inner, first.left_out) if isinstance(first, MonitoredPipeline) else inner
-        frames_done = 0  # frames
+        frames_done = 0
         for frames, degc in spool.blocks():
             frames_done += len(next(iter(frames.values())).time)
             callbacks.progress(_FIRST_PASS + (1 - _FIRST_PASS) * frames_done / spool.frames)

@@ -401,7 +401,7 @@ class FixedWeights:
         covariance = np.array(estimate.covariance_box)
         apart = (gains_of(whole[some], self.rows) - gains_of(weights[some], self.rows)) * self.noise
         covariance[some] += entries(apart @ np.swapaxes(apart, 1, 2)) / frames.averaged[some, None]
-        if self.slow is not None and self.slow.known:  # those of the whole array, whose level is kept
+        if self.slow is not None and self.slow.known:  # errors of the whole array, because its level is kept
             covariance += self.slow.covariance(gains_of(whole, self.rows), estimate.triad_box)
         return replace(estimate, covariance_box=covariance)
 

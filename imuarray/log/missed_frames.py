@@ -133,7 +133,7 @@ def frame_timing(log: Log) -> FrameTiming:
     by_events = missed_by_events(log.events)
     if by_rows is None:
         return FrameTiming(by_events or None if period_ns else None, _span_s(log))
-    # Rows show to one frame how many are missing between them, but not how many were missed after the last one.
+    # Rows determine the frames missed between them to within one, but not those missed after the last row.
     complete = log.state == "finished" and all(event.kind != "recovered" for event in log.events)
     if by_events is None or (by_events == 0 and by_rows > 1):
         missed = by_rows

@@ -469,7 +469,7 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
     if sensor.temperature_counts is not None:
         columns["temperature_counts"] = sensor.temperature_counts
     for name in ("temperature", "pressure") if sensor.quantity == "pressure" else ():
-        if sensor.has_compensated(name) or sensor.counts.shape[1:] == (2,):  # an imported one may lack the column
+        if sensor.has_compensated(name) or sensor.counts.shape[1:] == (2,):  # an imported sensor may lack the column
             columns[name] = sensor.compensated(name)
     place = f"sensor {sensor.name}"
     yield 0, [problem for name, column in columns.items() for problem in _holes(place, name, column)]
@@ -497,7 +497,7 @@ def _dates(log: Log) -> Iterator[str]:
         datetime.fromisoformat(log.epoch)
     except ValueError:
         yield f"attribute epoch is {log.epoch!r}; a date in ISO 8601 is required, such as 2026-01-31T12:00:00Z"
-    with suppress(LogError):  # is reported with the columns
+    with suppress(LogError):  # reported with the columns
         for phase in log.phases:
             place = f"phase {phase.name!r}"
             if phase.end_ns <= phase.start_ns:

@@ -208,7 +208,7 @@ class Salvage:
         if length < OVERHEAD or (size is not None and OVERHEAD + size > length):
             return True
         if size is not None and OVERHEAD + size == length:
-            return False  # all of the block is there: a page of zeros in it may be its payload
+            return False  # the block is complete: a page of zeros in it may be its payload
         if size is not None:
             return self._is_zero(position + OVERHEAD + size)
         page_end = position + _PAGE - position % _PAGE

@@ -191,7 +191,7 @@ class SensorLog(CountScale):
         for edge in edges if len(self) > _EDGE_ROWS else edges[:1]:  # `verify` checks all rows
             try:
                 times = self.time[edge]
-            except LogError:  # is raised again when these rows are read; other sensors may be intact
+            except LogError:  # raised again when these rows are read; other sensors may be intact
                 continue
             self._check_times(times, edge.indices(len(self))[0])
 

@@ -244,7 +244,7 @@ def _words(score: Score) -> str:
 
 def _is_sure(score: Score) -> bool:
     ratio = score.ratio["XYZ"]
-    if ratio.ratio >= 0.995:  # is printed as 1.00
+    if ratio.ratio >= 0.995:  # printed as 1.00
         return False
     return bool(ratio.high < 1) if np.isfinite(ratio.high) else ratio.ratio < 1
 
