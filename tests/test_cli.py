@@ -364,8 +364,12 @@ def test_a_missing_kernel_bus_is_an_error_of_one_line(run: Run, here: Path) -> N
 
 
 def test_without_arguments_lines_are_at_most_120_characters(run: Run) -> None:
-    _, out, err = run()
-    assert max(map(len, (out.splitlines() or [""]) + err)) <= 120
+    code, out, err = run()
+    lines = out.splitlines()
+    assert "Usage: imuarray" in lines[0]
+    assert len(lines) > len(COMMANDS)
+    assert (code, err) == (0, [])
+    assert max(map(len, lines)) <= 120
 
 
 def test_an_output_is_overwritten_only_with_force(run: Run, here: Path) -> None:
@@ -452,13 +456,20 @@ def test_a_closed_terminal_does_not_end_a_log(monkeypatch: pytest.MonkeyPatch) -
             return True
 
         def write(self, text: str, /) -> int:
+            refused.extend([text] if text else [])
             raise OSError(5, "Input/output error")
 
+    refused: list[str] = []
     monkeypatch.setattr(sys, "stderr", ClosedTerminal())
     screen = LogScreen("r.h5", 50, None)
     screen.event(Event(0, "A", "lost", "no reading"))
     screen.counted(RecordingCounts(frames=50))
     screen.close()
+    assert [re.sub(r"\r?\x1b\[K", "", text) for text in refused] == [
+        "      0.0 s  A lost: no reading\n",
+        "r.h5: 50 frames, 1 s, 0 readings lost",
+        "",
+    ]
 
 
 @pytest.mark.slow

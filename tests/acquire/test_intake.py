@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.acquire.fault_episode import FaultEpisodes
@@ -26,19 +26,40 @@ S = 1_000_000_000
 STALE, OVERRUN, LOST, RECONFIGURED = 1, 2, 8, 16
 
 
-@example(times=[3, 3], newest=None, latest=40)
-@example(times=[3, 4], newest=3, latest=4)
+@pytest.mark.parametrize(
+    ("times", "newest", "latest", "kept"),
+    [
+        ([], None, 40, []),
+        ([1, 2, 3], None, 40, [1, 2, 3]),
+        ([-5, 0], None, 40, [-5, 0]),
+        ([3, 3], None, 40, [3]),
+        ([3, 4], 3, 4, [4]),
+        ([1, 2, 3], 3, 40, []),
+        ([1, 9, 2, 3, 10], None, 40, [1, 9, 10]),  # 2 and 3 are later than 1, but earlier than a stored row
+        ([1, 41, 2, 40, 3], None, 40, [1, 2, 40]),  # a row of the future is refused and does not refuse the next
+        ([50, 60], None, 40, []),
+    ],
+)
+def test_rows_later_than_all_stored_ones_are_kept(
+    times: list[int], newest: int | None, latest: int, kept: list[int]
+) -> None:
+    given_ns = np.array(times, np.int64)
+    assert given_ns[in_order(given_ns, newest, latest)].tolist() == kept
+
+
 @given(
     times=st.lists(st.integers(-5, 40), max_size=30),
     newest=st.one_of(st.none(), st.integers(-5, 40)),
     latest=st.integers(0, 40),
 )
-def test_rows_later_than_their_predecessor_are_kept(times: list[int], newest: int | None, latest: int) -> None:
-    kept, last = [], newest
-    for time in times:
-        kept.append(time <= latest and (last is None or time > last))
-        last = time if kept[-1] else last
-    assert in_order(np.array(times, np.int64), newest, latest).tolist() == kept
+def test_stored_rows_ascend_and_are_stored_again(times: list[int], newest: int | None, latest: int) -> None:
+    """Without the refused rows nothing is refused, and no row later than all stored ones is missing at the end."""
+    given_ns = np.array(times, np.int64)
+    stored = given_ns[in_order(given_ns, newest, latest)]
+    assert (np.diff(stored) > 0).all()
+    assert in_order(stored, newest, latest).all()
+    possible = [time for time in times if time <= latest and (newest is None or time > newest)]
+    assert max(stored.tolist(), default=None) == max(possible, default=None)
 
 
 def test_a_row_takes_over_the_flags_of_refused_rows_before_it() -> None:

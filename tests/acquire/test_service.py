@@ -104,11 +104,17 @@ def test_the_status_is_sent_every_ten_seconds(manager: Manager) -> None:
 
 
 @pytest.mark.parametrize("address", ["", "/no/such/socket", "@nobody-is-there", "vsock:2:9999", "notify", "@"])
-def test_a_missing_or_invalid_socket_is_ignored(address: str) -> None:
+def test_a_missing_or_invalid_socket_is_ignored(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is raised, printed or made in the folder."""
+    monkeypatch.chdir(tmp_path)
     notifier = Service({"NOTIFY_SOCKET": address})
     notifier.stored(5)
     notifier.stopping()
     Service({}).stored(5)
+    assert capsys.readouterr() == ("", "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_manager_that_does_not_read_does_not_block(manager: Manager) -> None:
@@ -117,6 +123,12 @@ def test_a_manager_that_does_not_read_does_not_block(manager: Manager) -> None:
     for rows in range(1, 2000):  # its queue is full long before
         time.now_ns += 1_000_000
         notifier.stored(rows)
+    first, *later = manager.messages()
+    assert first.startswith("READY=1\n")
+    assert len(later) < 1900  # the queue did overflow
+    time.now_ns += 1_000_000
+    notifier.stored(2000)
+    assert any("WATCHDOG=1" in words for words in manager.messages())
 
 
 def test_a_status_is_one_line(manager: Manager) -> None:
