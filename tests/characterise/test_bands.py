@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from imuarray.characterise.bands import RISES, SLACK, WIDTHS, find_bands
+from imuarray.characterise.bands import find_bands
 from imuarray.characterise.lines import FALSE_ALARM, find_lines
 from imuarray.characterise.result import _with_harmonics
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
@@ -81,10 +81,6 @@ def test_a_narrow_line_is_not_a_band() -> None:
     narrow = find_lines(spectrum).lines
     assert len(narrow) == 1
     assert find_bands(spectrum, 0, narrow) == ()
-
-
-def test_tolerances_of_the_floor() -> None:
-    assert (WIDTHS[0], RISES, SLACK) == (4, 1.35, 1.08)
 
 
 def test_harmonics_name_their_fundamental() -> None:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.characterise.lines import _GUARD, _joined_medians, _sides
+from imuarray.characterise.lines import _joined_medians
 
 
-@pytest.mark.parametrize("last", [64, 257, 2048])
-def test_joined_medians_equal_those_of_each_bin(last: int) -> None:
+@pytest.mark.parametrize(("last", "widest"), [(64, 8), (257, 16), (2048, 32)])
+def test_joined_medians_equal_those_of_each_bin(last: int, widest: int) -> None:
+    """A side begins three bins away, beyond the main lobe of the Hann window. It has two fifths of as many bins as
+    there are below, at least 8 and at most 32 or a sixteenth of all, `widest`.
+    """
     height = np.random.default_rng(last).normal(size=last + 60)
     bins = np.arange(12, last + 1)
     wanted = []
-    for at, side in zip(bins.tolist(), _sides(bins, last).tolist(), strict=True):
-        below = np.arange(at - _GUARD - side, at - _GUARD)
-        above = np.arange(at + _GUARD + 1, at + _GUARD + 1 + side)
+    for at in bins.tolist():
+        side = sorted((8, 2 * at // 5, widest))[1]
+        below, above = at - 3 - np.arange(side), at + 3 + np.arange(side)
         low, high = np.median(height[below]), np.median(height[above])
         left, right = np.log(below).mean(), np.log(above).mean()
         wanted.append(low + (high - low) * (np.log(at) - left) / (right - left))

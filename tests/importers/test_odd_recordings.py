@@ -603,10 +603,6 @@ def test_late_rows_are_not_reported_as_missing(
     assert "missing" not in capsys.readouterr().out
 
 
-def test_there_are_at_least_twenty_cases() -> None:
-    assert len(CASES) >= 20
-
-
 @pytest.mark.parametrize(("axes", "doubted"), [("+X+Y+Z", True), ("+X-Y-Z", False)])
 def test_an_accelerometer_mounted_upside_down_is_reported(
     axes: str, doubted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
