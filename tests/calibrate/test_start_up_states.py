@@ -18,9 +18,10 @@ from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main
 from imuarray.log import open_log
+from imuarray.log.format import Phase
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.motion import turn_on_run
+from imuarray.simulate.motion import HandShake, turn_on_run
 from tests.selection import some
 
 TEXT = """
@@ -125,17 +126,35 @@ def test_a_sensor_in_the_wrong_range_is_named_and_excluded(
     assert abs(report["results"]["mean"]["specific_force"]["mean"][0]) < 0.02 * 9.80665
 
 
+class Shaken(HandShake):
+    """A shaken box whose log has no phase at rest."""
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phase in motion alone."""
+        return super().phases[1:2]
+
+
 def test_a_log_without_rest_reports_no_start_up_fault(calibration_file: Path, tmp_path: Path) -> None:
+    """The sensor in the wrong range has a fault after half a second of rest, and none if the log has no rest."""
     from imuarray.calibrate import load_calibration
-    from imuarray.simulate.motion import HandShake
 
     known = load_calibration(calibration_file)
-    shaken = HandShake(still_s=0.5, motion_s=59.0)
-    chains = {"G": [effect("white_noise", rms=0.18)]}
-    write_log(Simulation(plan_of(ARRAY, 50.0, 60.0), shaken, chains), tmp_path / "shaken.h5")
-    with open_log(tmp_path / "shaken.h5") as log:
-        _, starts = start_up_states(log, known, BY_SENSOR)
-    assert "B" not in starts or not starts["B"].fault
+    chains = {
+        "G": [effect("white_noise", rms=0.18), effect("bias", offset=0.3)],
+        "B": [effect("range_reset", range=2.0, offset=(0.2, 0.23, 0.004))],  # starts at 2 g
+    }
+    faults = []
+    for motion in (HandShake, Shaken):
+        path = tmp_path / f"{motion.__name__}.h5"
+        write_log(Simulation(plan_of(ARRAY, 50.0, 60.0), motion(still_s=0.5, motion_s=59.0), chains), path)
+        with open_log(path) as log:
+            calibration, starts = start_up_states(log, known, BY_SENSOR)
+        faults.append("B" in starts and starts["B"].fault)
+    assert faults == [True, False]
+    assert starts == {}
+    turn_on = calibration.sensors["G"].turn_on
+    assert turn_on is not None and len(turn_on.states) == 2  # neither is excluded
 
 
 @pytest.mark.slow

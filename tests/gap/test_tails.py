@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from imuarray.gap.inference.assessment import p_value
 from imuarray.gap.statistics.catalogue import Key
-from imuarray.gap.statistics.tails import FREEDOMS, HEAVIER, NO_TAILS, Tail, normal_scores_by_others, tails_of
+from imuarray.gap.statistics.tails import FREEDOMS, HEAVIER, NO_TAILS, Tail, Tails, normal_scores_by_others, tails_of
 
 REPLICATES = 41
 
@@ -27,8 +27,11 @@ def test_a_tail_has_the_shares_of_students_t() -> None:
 
 @given(st.sampled_from(FREEDOMS), st.floats(0.1, 5.0), st.floats(0.0, 40.0), st.floats(0.01, 10.0))
 def test_normal_scores_keep_the_order(freedom: float, scale: float, size: float, more: float) -> None:
-    near, far = Tail(freedom, scale).normal(np.array([size, size + more]))
-    assert 0 <= near < far
+    """Scores of both signs: their normal scores ascend, and opposite scores have opposite ones."""
+    tails = Tails({("noise", "G1"): Tail(freedom, scale)})
+    normal = tails.normal(np.array([-size - more, -size, size, size + more]), keys(4, "noise"))
+    assert normal[0] < normal[1] <= 0 <= normal[2] < normal[3]
+    np.testing.assert_array_equal(normal, -normal[::-1])
 
 
 def test_heavy_and_light_tails_become_equal() -> None:
