@@ -4,10 +4,10 @@
 
     world (callable of time) -> element (one chip's imperfections) -> chip (registers, converter) -> mux -> wire
 
-It shares register facts with the drivers (`imuarray.facts`) and nothing else: byte order, signs, timing and every scale
-factor are implemented here a second time, so that a wrong driver is noticed.
+It shares only register facts with the drivers (`imuarray.facts`): byte order, signs, timing and every scale factor are
+implemented here a second time, so that errors of a driver are detected.
 
-The faults of such an array are in `firmware_emulator.mechanisms`; `firmware_emulator.cases` records logs with them.
+The faults of an array are in `firmware_emulator.mechanisms`; `firmware_emulator.cases` records logs with them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """`python -m firmware_emulator CONFIG --usbip`: the emulated array as an I2C adapter of this or another Linux machine;
 `--serial`: on an emulated microcontroller behind a pseudo-terminal.
 
-The only file of the emulator that reads a configuration. Exit codes as of `imuarray`: 2
-for bad input, with one line that names the place and what is allowed; 130 interrupted.
+This is the only file of the emulator that reads a configuration. Exit codes are those of `imuarray`: 2 for invalid
+input, with one line that names the place and what is allowed; 130 after an interrupt.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def program(config: Path, usbip: bool, serial: bool, host: str, port: int, query
 
 
 def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
-    """Return the emulated bus with these parameters of a URL, on the real clock, because kernels and foreign
-    drivers sleep.
+    """Return the emulated bus with these parameters of a URL, on the real clock, because kernels and external drivers
+    sleep in real time.
     """
     parameters = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
     try:

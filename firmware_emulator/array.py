@@ -69,7 +69,9 @@ ERRNOS = (6, 121)
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno", "oscillators", "pulse_hz")
 OSCILLATORS = ("exact", "drawn")
 OSCILLATOR_ERROR = typical(0.01)
-"""Rate error of the oscillator of a six-axis chip as a share: its data sheets allow some percent over temperature."""
+"""Relative rate error of the oscillator of a six-axis chip. The data sheets allow a few percent over temperature; this
+value is an assumption.
+"""
 PULSE_HZ = 10.0
 """Frequency of the synchronisation pulses if the URL does not state it."""
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
@@ -85,7 +87,7 @@ class EmulatedBus:
     chip selects of those on SPI.
 
     `transfer` is the trunk's (`Wire.transfer`). `phases` (the named stretches of the world) and ``truth(at_ns)`` (the
-    true stimulus of the box) are in times of `clock`.
+    true stimulus of the box) use the times of `clock`.
     """
 
     source = "emulated"
@@ -146,7 +148,7 @@ def open_array(  # noqa: PLR0913
     switches: Switches = MappingProxyType({}),
     board: BoardKind = Board,
 ) -> EmulatedBus:
-    """Power the array up in `world` (at rest on its -Z face by default); both begin now.
+    """Power up the array in `world` (at rest on its -Z face by default); both begin at the present time.
 
     `seed` keys noise and the units that are drawn. `switches` are keyword arguments of chips, by sensor or by chip
     (``{"BMA2": {"download_ns": 0}, "l3g4200d": {"wrap_always": True}}``): properties that data sheets do not specify,
@@ -170,7 +172,7 @@ def open_array(  # noqa: PLR0913
     for sensor in array.sensors:
         place = sensor.bus or sensor.channel, sensor.address
         die = dies.get(place)
-        if isinstance(die, SixAxis) and sensor.chip in HALVES:  # the die is connected already
+        if isinstance(die, SixAxis) and sensor.chip in HALVES:  # the die is already connected
             die.take_element(HALVES[sensor.chip].name, parts.element(sensor))
             chips[sensor.name] = die
             if parts.device(sensor, die) is not die:

@@ -1,13 +1,13 @@
-"""Parts of the emulated array, and the host, as `open_array` creates them.
+"""Parts of the emulated array, and the host, from which `open_array` assembles it.
 
 `Board` creates the parts of the array's description. A board with other parts (`firmware_emulator.mechanisms`)
 overrides single methods; the array is assembled and polled in the same way.
 
 `ArrayLike` is the description of an array as the emulator needs it; `imuarray.array` satisfies it.
 
-`Pca9544aChip` has one control byte that says which of four channels joins the trunk, if any (NXP data sheet Rev 5,
-2014). The byte reads back at once, but the wires are switched only by the STOP that ends the transaction (PCA-06,
-DEC-40), even if that transaction was aborted (DEC-41).
+`Pca9544aChip` has one control byte that selects which of four channels is connected to the trunk, if any (NXP data
+sheet Rev 5, 2014). The byte can be read back immediately, but the wires are switched only by the STOP that ends the
+transaction (PCA-06, DEC-40), even if that transaction was aborted (DEC-41).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class SensorLike(Protocol):
 
     @property
     def range(self) -> float | None:
-        """Full scale in g, dps or gauss; None for a chip without."""
+        """Full scale in g, dps or gauss; None for a chip without ranges."""
 
     @property
     def orientation(self) -> Matrix:
@@ -120,7 +120,7 @@ class ArrayLike(Protocol):
 
     @property
     def name(self) -> str:
-        """ "martin2013" for the paper's, whose units are known."""
+        """ "martin2013" for the paper's array, of which the units are known."""
 
     @property
     def mux(self) -> MuxLike | None:
@@ -136,7 +136,7 @@ MUXES = {"pca9544a": Pca9544aChip}
 
 
 def named(name: str, entries: Mapping[str, T], kind: str) -> T:
-    """Return the entry of that name; ValueError lists the others."""
+    """Return the entry of that name; the ValueError for an unknown name lists the others."""
     if name not in entries:
         raise ValueError(f"{kind} {name!r}; {allowed_text(name, entries)}")
     return entries[name]
@@ -201,4 +201,4 @@ class Board:
 
 
 BoardKind = Callable[[str, World, int], Board]
-"""Function that makes a board from the name of the array, the world and the seed."""
+"""Function that creates a board from the name of the array, the world and the seed."""

@@ -1,16 +1,16 @@
-"""Cases: series of logs of an emulated array with mechanisms at work, and a separate sealed file with the truth.
+"""Cases: series of logs of an emulated array with active mechanisms, and a separate sealed file with the truth.
 
-A case resembles a user's data from a bench: units that were never measured, a log for each experiment, no truth. It is
-polled by the real drivers and written by the real acquisition. Neither the names nor the attributes of its logs reveal
-the mechanism, its severity or the seed.
+A case resembles a user's data from a bench: units that were never measured, a log for each experiment, no truth. The
+real drivers poll it, and the real acquisition writes it. Neither the names nor the attributes of its logs reveal the
+mechanism, its severity or the seed.
 
 ::
 
     python -m firmware_emulator.cases martin2013 -o case --truth sealed.json --mechanism mains_ripple \\
         --severity 2 --sensor Gyro2 --seed 7 --experiments static,tumble,heating,turn-on,motion
 
-Every log is a power-up of its own; units stay the same, noise does not. Time is emulated. `/reference` of a log holds
-the commanded force, rate and temperature of the bench, not those of the sensors.
+Every log begins with a power-up; the units stay the same, the noise differs. Time is emulated. `/reference` of a log
+contains the commanded force, rate and temperature of the bench, not those of the sensors.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ from imuarray.shipped import find_config
 
 PROGRAM = "firmware_emulator.cases"
 RATE_HZ = 64.0
-"""Frames a second: mains shows at 14 Hz, its harmonics at 28 and 22 Hz."""
+"""Frames per second. At this rate, aliases of the mains frequency are at 14 Hz, those of its harmonics at 28 and 22 Hz.
+"""
 FIRST_LOG = datetime(2013, 9, 16, 9, 0, tzinfo=UTC)
 BETWEEN_LOGS = timedelta(minutes=20)
 _NAMES = {kind: name for name, kind in MECHANISMS.items()}
@@ -53,11 +54,13 @@ _NAMES = {kind: name for name, kind in MECHANISMS.items()}
 
 @dataclass(frozen=True)
 class BenchCase:
-    """`experiments` (keys of `EXPERIMENTS`, or own ones) with `fittings` at work on the array; none: nothing is wrong.
+    """`experiments` (keys of `EXPERIMENTS`, or the caller's own) with the mechanisms `fittings` active on the array;
+    without fittings there is no fault.
 
-    `seed` draws units, noise and whatever mechanisms leave to chance. `severities` go into the truth, a fitting each.
-    With `reference` the logs contain the commanded motion of the bench; without, only its phases and the barometer.
-    `recorder` describes the recording program, None if it is always in time; with a recorder, parts are toleranced.
+    `seed` draws units, noise and the random parameters of mechanisms. `severities`, one for each fitting, are stored in
+    the truth. With `reference` the logs contain the commanded motion of the bench; without, only its phases and the
+    barometer. `recorder` describes the recording program, None if it is never late; with a recorder, parts are
+    toleranced.
     """
 
     array: ArrayConfig
@@ -79,8 +82,8 @@ class BenchCase:
         rate_hz: float = RATE_HZ,
         reference: bool = True,
     ) -> Self:
-        """Make a case by names: `mechanisms` are (name, severity, sensors), no sensors meaning all on which it can be
-        put.
+        """Create a case by names: `mechanisms` are (name, severity, sensors), no sensors means all on which the
+        mechanism can act.
 
         ValueError, one line, for an impossible name, severity or sensor.
         """
@@ -94,7 +97,7 @@ class BenchCase:
 
     @classmethod
     def of_world(cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0) -> Self:
-        """Make a case in a world that was drawn by another program: a table with the `array` (TOML text), its
+        """Create a case in a world that was drawn by another program: a table with the `array` (TOML text), its
         `sessions`, `room` and `recorder` (`firmware_emulator.sessions`). ValueError, one line, for an unknown entry.
         """
         if missing := sorted({"array", "sessions", "room", "recorder"} - set(world)):
@@ -128,8 +131,8 @@ class BenchCase:
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the contents of the sealed file; `logs` state what happened in each log, and at which sensors if that
-        was random.
+        """Return the contents of the sealed file; `logs` contain the events in each log, and the affected sensors if
+        these were random.
         """
         return {
             "array": self.array.name,
@@ -166,7 +169,7 @@ class BenchCase:
         log_begin = _LogBegin(bus.truth)
         bus.truth = log_begin
         if not self.reference:
-            del bus.truth  # a case has no truth in its logs
+            del bus.truth  # the logs of a case do not contain the truth
         record(
             self.array,
             cast(OpenBus, bus),
@@ -202,15 +205,15 @@ class _LogBegin:
 
 
 def _affected_sensors(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the sensors on which a mechanism is put, or those of them that it affected in any log, if it states
-    that.
+    """Return the sensors on which a mechanism is put, or only those that it affected in any log, if the logs state
+    them.
     """
     touched = {name for log in logs for name in log["touched"].get(mechanism, ())}
     return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
 
 def as_shown(phases: Sequence[WorldPhase], bus: EmulatedBus) -> tuple[WorldPhase, ...]:
-    """Phases in times of the host's clock, by which they are noted."""
+    """Return the phases in times of the host's clock, because they are noted by this clock."""
     clock = bus.clock
     if not isinstance(clock, HostClock):
         return tuple(phases)
@@ -220,7 +223,7 @@ def as_shown(phases: Sequence[WorldPhase], bus: EmulatedBus) -> tuple[WorldPhase
 
 
 def leave_thermometers_out(path: Path) -> None:
-    """Rewrite the log without the temperatures of the chips, like that of a program that does not read them."""
+    """Rewrite the log without the temperatures of the chips, like a log of a program that does not read them."""
     with h5py.File(path, "r+") as file:
         for group in file["sensors"].values():
             if "temperature_counts" in group:
@@ -228,13 +231,15 @@ def leave_thermometers_out(path: Path) -> None:
 
 
 def call_it_reference(path: Path) -> None:
-    """Turn the truth of the emulated world into the reference: the commanded motion of the bench."""
+    """Rename the truth of the emulated world to the reference, which is the commanded motion of the bench."""
     with h5py.File(path, "r+") as file:
         file.move("truth", "reference")
 
 
 def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> None:
-    """Yield the reference at its own rate, timed by its own correct clock, from `begun_ns` of the world on."""
+    """Rewrite the reference of a log at its own rate, with times of its own, exact clock, from `begun_ns` of the world
+    on.
+    """
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world
     stimuli = [world(begun_ns + at_ns) for at_ns in times.tolist()]
@@ -267,8 +272,9 @@ def asked(
 
 
 def described() -> dict[str, dict[str, Any]]:
-    """Return every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`,
-    whether it is `graded`: of variable size, not merely present or absent.
+    """Return a description of every mechanism: the chips that it `touches`, the number of sensors that it needs
+    (`place`), the effects that it `resembles`, and whether it is `graded`: of variable size, not merely present or
+    absent.
     """
     return {
         name: {
@@ -352,7 +358,7 @@ def _write(options: CaseOptions) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit code: 2 for bad input, with one line."""
+    """Run the command line and return the exit code: 2 for invalid input, with one line."""
     return run(program, PROGRAM, arguments)
 
 

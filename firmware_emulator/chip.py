@@ -17,7 +17,7 @@ NEVER_NS = 1 << 62
 
 
 class Target(Protocol):
-    """A device on the wire, as the two wires see it."""
+    """A device as it acts on the two wires of the bus."""
 
     address: int
 
@@ -34,13 +34,11 @@ class Target(Protocol):
 
 
 class Element(Protocol):
-    """The sensing element in front of a chip's converter: the effect of the world on it, its own imperfections
-    included.
-    """
+    """The sensing element in front of a chip's converter: its response to the world, including its imperfections."""
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
         """Return the input of the converter along the sensor's x, y, z at `at_ns`, in the data sheet's unit (g, dps,
-        gauss), noise included.
+        gauss), including noise.
 
         `full_scale` (same unit) and `bandwidth_hz` are the settings in force: noise depends on them.
         """

@@ -1,7 +1,7 @@
 """Emulated and real time, in integer nanoseconds.
 
-On the virtual clock a transfer takes exactly the time of the bus arithmetic and a sleep no real time, so that torn
-reads, overruns and update ticks are the same in every run (DEC-50). On the real clock time passes on its own.
+On the virtual clock, a transfer takes exactly the computed time of the bus and a sleep takes no real time, so that torn
+reads, overruns and update ticks are the same in every run (DEC-50). On the real clock, time passes by itself.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Protocol
 
 
 class WireClock(Protocol):
-    """The clock that the wire reads, and that a caller sleeps on."""
+    """The clock that the wire reads and by which a caller sleeps."""
 
     def now_ns(self) -> int:
         """Return the present time."""
@@ -34,7 +34,7 @@ class VirtualClock:
         return self._now_ns
 
     def advance(self, ns: int) -> None:
-        """Advance by `ns`; ValueError when negative."""
+        """Advance by `ns`; ValueError if it is negative."""
         if ns < 0:
             raise ValueError(f"time can't go back: {ns} ns")
         self._now_ns += ns
@@ -53,7 +53,7 @@ class RealClock:
         return time.monotonic_ns()
 
     def advance(self, ns: int) -> None:
-        """Sleep for `ns`, as a program waits for its adapter; ValueError when negative."""
+        """Sleep for `ns`, as a program waits for its adapter; ValueError if it is negative."""
         if ns < 0:
             raise ValueError(f"time can't go back: {ns} ns")
         time.sleep(ns * 1e-9)

@@ -5,9 +5,9 @@
     with device_files({"/dev/i2c-1": Adapter(wire)}):
         SMBus(1).read_byte_data(0x53, 0x00)
 
-Inside the block `os.open` opens a real, empty file for each of those paths, and `fcntl.ioctl` on it is the adapter's,
-also where a module has imported it by name. Closing and flock are the real ones. The read() and write() of i2c-dev are
-not supported.
+Inside the block `os.open` opens a real, empty file for each of these paths, and `fcntl.ioctl` on it is that of the
+adapter, even if a module has imported the function by name. close and flock are the real ones. The read() and write()
+of i2c-dev are not supported.
 
 `Adapter` is a Linux I2C adapter over a `Wire`: the ioctls of /dev/i2c-N, with C structures at their addresses. Sources:
 kernel documentation of i2c-dev, facts LNX-03 ... LNX-15 and LNX-40 ... LNX-49. SMBus calls become the messages to which
@@ -76,7 +76,7 @@ class SmbusStruct(ctypes.Structure):
 
 
 class Message(NamedTuple):
-    """One message in the kernel's own memory: `data` to write, or `length` bytes to read."""
+    """One message in the memory of the emulated kernel: `data` to write, or `length` bytes to read."""
 
     address: int
     flags: int
@@ -94,14 +94,14 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {"plain": Kind(), "bcm2835": Kind(one_read=True), "gpio": Kind(mangling=True)}
-"""Adapters: one without limits, that of the Raspberry Pi, and the one that drives two GPIO pins (LNX-09)."""
+"""Kinds of adapter: one without limits, that of the Raspberry Pi, and one that drives two GPIO pins (LNX-09)."""
 
 
 class Adapter:
-    """One adapter: `kind` is a key of `KINDS`, `owned` holds the kernel driver of each address that has one.
+    """One adapter: `kind` is a key of `KINDS`, `owned` contains the kernel driver of each address that has one.
 
     While `stuck` is set, the clock is held low: every transfer takes the whole timeout and ends with ETIMEDOUT.
-    `timeout_ns` and `retries` are settings of programs; only arbitration is retried (LNX-14), and it is never lost
+    `timeout_ns` and `retries` are settings of programs; only a lost arbitration is retried (LNX-14), which never occurs
     here.
     """
 
@@ -121,12 +121,12 @@ class Adapter:
         return FUNC_I2C | FUNC_SMBUS | (FUNC_PROTOCOL_MANGLING if self.kind.mangling else 0)
 
     def open(self) -> OpenFile:
-        """Return what open("/dev/i2c-N") gives a program, with its own address and flags."""
+        """Return the result of open("/dev/i2c-N") for a program, with its own address and flags."""
         return OpenFile(self)
 
     def transfer(self, messages: Sequence[Message]) -> list[bytes]:
         """Transfer a START, messages joined by repeated STARTs, and a STOP (LNX-06); return the bytes of each read.
-        OSError as the kernel's.
+        OSError like that of the kernel.
         """
         self._check(messages)
         if self.stuck:
@@ -260,30 +260,30 @@ class OpenFile:
 
 
 DATA_BYTES = {BYTE: 1, BYTE_DATA: 1, WORD_DATA: 2, PROC_CALL: 2}
-"""Return the size of the union's member by SMBus size; the others use the block."""
+"""Size of the union's member by SMBus size; the other SMBus sizes use the block."""
 
 
 def refuse(number: int) -> NoReturn:
-    """Return an OSError as the system call's."""
+    """Raise the OSError of the system call."""
     raise OSError(number, os.strerror(number))
 
 
 def checked(value: int, largest: int) -> int:
-    """Return `value`; EINVAL if it is above `largest`."""
+    """Return `value`; OSError with EINVAL if it is above `largest`."""
     if value > largest:
         refuse(errno.EINVAL)
     return value
 
 
 def pointer(at: int) -> int:
-    """Return `at`; EFAULT if it is a null pointer."""
+    """Return `at`; OSError with EFAULT if it is in the first page, like a null pointer."""
     if at < 4096:
         refuse(errno.EFAULT)
     return at
 
 
 def put(at: int, data: bytes) -> None:
-    """Copy to the program's memory."""
+    """Copy the data to the program's memory."""
     ctypes.memmove(pointer(at), data, len(data))
 
 
@@ -298,7 +298,7 @@ def message_at(struct: MessageStruct) -> Message:
 
 
 def as_word(data: bytes) -> bytes:
-    """Return a word of this machine's memory as SMBus sends it, low byte first, or the other way round (LNX-16)."""
+    """Convert a word between the byte order of this machine and that of SMBus, low byte first (LNX-16)."""
     return data[:2] if sys.byteorder == "little" else data[1::-1]
 
 
@@ -392,8 +392,8 @@ def identity(status: os.stat_result) -> Identity:
 
 
 def with_address(argument: Any, call: Callable[[int], int]) -> Any:
-    """Call `call` with a Python argument as `fcntl.ioctl` does: a number as it is, a buffer by its address, a copy of
-    immutable bytes, which is then the result.
+    """Call `call` with a Python argument as `fcntl.ioctl` does: a number is passed unchanged, a buffer by its address,
+    and immutable bytes as a copy, which is then the result.
     """
     if isinstance(argument, int):
         return call(argument)

@@ -1,4 +1,4 @@
-"""The sensing element: world in, converter input out, with the imperfections of one unit.
+"""The sensing element, which turns the world into the converter's input, with the imperfections of one unit.
 
 For a sensor with axes s, in the data sheet's unit and at temperature T:
 
@@ -45,7 +45,7 @@ SENSED: dict[str, tuple[str, float]] = {
     "ak8963": ("field_box", 1.0),
     "ak8975": ("field_box", 1.0),
 }
-"""Keyed by chip: the field of `WorldStimulus` that it measures, and the size of one of its unit in g, dps or gauss."""
+"""Keyed by chip: the field of `WorldStimulus` that it measures, and the factor from its unit to g, dps or gauss."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,7 @@ def applied(matrix: Matrix, vector: Triple) -> Triple:
 
 
 def stream(seed: int, key: str) -> np.random.Generator:
-    """Return a random generator of its own for each name: without one of them, the numbers of the others are the
-    same.
-    """
+    """Return a separate random generator for each `key`; the numbers of one do not depend on the use of the others."""
     return np.random.default_rng([seed, crc32(key.encode())])
 
 
@@ -134,7 +132,7 @@ class SensingElement:
         self._ideal = ZERO
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
+        """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, including noise."""
         if (full_scale, bandwidth_hz) != self._setting:
             self._set(full_scale, bandwidth_hz)
         stimulus = self._constant or self._world(at_ns)
@@ -148,12 +146,12 @@ class SensingElement:
         return x + dx * noise[used], y + dy * noise[used + 1], z + dz * noise[used + 2]
 
     def temperature(self, at_ns: int) -> float:
-        """Return the temperature of the chip's own thermometer, its offset included, in degC."""
+        """Return the temperature of the chip's own thermometer in degC, including its offset."""
         stimulus = self._constant or self._world(at_ns)
         return stimulus.temperature_degc + self.unit.thermometer_offset_degc
 
     def pressure(self, at_ns: int) -> float:
-        """Return the air pressure in Pa, the part's offset included."""
+        """Return the air pressure in Pa, including the part's offset."""
         return self._world(at_ns).pressure_pa + self.unit.pressure_offset_pa
 
     def _set(self, full_scale: float, bandwidth_hz: float) -> None:

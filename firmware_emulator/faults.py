@@ -14,7 +14,7 @@
     reads_right = true     # wrong_channel: the control byte can be read back as ordered all the same
     bias = [4.0, 0.0, 0.0] # start_up: how far off it has come up, in g, dps or gauss
 
-The file does not state the expected response of the program at the other end.
+The file does not state how the program that reads the array should respond.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ _HEADER = re.compile(r"\s*\[\[\s*fault\s*\]\]")
 
 
 def _line_of(text: str, number: int, key: str) -> int:
-    """Return the line of a key of the fault `number`, or of its header; 0 if it has none."""
+    """Return the line of a key of fault `number`, or that of its header; 0 if neither exists."""
     lines = text.splitlines()
     headers = [place for place, line in enumerate(lines) if _HEADER.match(line)]
     if number > len(headers):

@@ -1,6 +1,6 @@
 """A board with scheduled faults (`firmware_emulator.faults`); its parts are those of another board.
 
-The multiplexer, the wires and the program itself fail between the chips. Instants are in ns since power-on.
+The multiplexer, the wires and the program can fail as well as the chips. Instants are in ns since power-on.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld
 
 TIME_OUT_NS = 30_000_000
-"""The timeout of a program that does not wait for the kernel's default of one second."""
+"""Timeout in ns of a program that does not wait for the kernel's default of one second."""
 
 
 class FaultyMux(Pca9544aChip):
     """A multiplexer that sometimes ignores a command or carries out another one; with `reads_right` its control byte
-    reads back as written without effect.
+    reads back as written, although it had no effect.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class FaultyMux(Pca9544aChip):
         super().__init__(address, channels, powered_on_ns)
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Acknowledge in any case."""
+        """Acknowledge in any case; carry out the command, a different one or none."""
         self._kept = None
         for times, channel, reads_right in self._orders:
             if times.during(at_ns - self._powered_on_ns):
@@ -109,7 +109,7 @@ class FaultyWires:
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
 
     def _plug_in(self, wire: Wire, since_ns: int) -> None:
-        """Note that all chips have their supply again, since then."""
+        """Power up all chips again at this time."""
         for chip in self.chips:
             chip.power_on(self._powered_on_ns + since_ns)
         if self.mux is not None:
@@ -161,8 +161,8 @@ class FaultyBoard(Board):
     def router(
         self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
     ) -> Pca9544aChip:
-        """Return a multiplexer that carries out wrong commands, if there is such a fault; a mechanism's own one is not
-        used then.
+        """Return a multiplexer that carries out wrong commands, if there is such a fault; the multiplexer of a
+        mechanism is then not used.
         """
         if not self._switching:
             return self._inner.router(chip, address, channels, powered_on_ns)
@@ -171,7 +171,7 @@ class FaultyBoard(Board):
         return self._wires.mux
 
     def element(self, sensor: SensorLike) -> Element:
-        """Return the other board's element, with another bias if it starts with one."""
+        """Return the other board's element, with a different bias if a start-up fault changes it."""
         element = self._inner.element(sensor)
         shifts = [fault for fault in self.chip_faults.get(sensor.name, []) if fault.action == "start_up"]
         return ShiftedElement(element, shifts, self._powered_on_ns) if shifts else element

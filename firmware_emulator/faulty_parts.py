@@ -28,7 +28,7 @@ class Times:
     count: int = 0
 
     def begun(self, at_ns: int) -> int:
-        """Return how many times it has begun by then."""
+        """Return the number of times that it has begun by then."""
         if at_ns < self.begin_ns:
             return 0
         number = (at_ns - self.begin_ns) // self.period_ns + 1 if self.period_ns else 1
@@ -39,17 +39,17 @@ class Times:
         return self.begin_ns + (number - 1) * self.period_ns
 
     def during(self, at_ns: int) -> bool:
-        """Return whether it lasts at that time."""
+        """Return whether it is active at that time."""
         number = self.begun(at_ns)
         return number > 0 and at_ns - self.start_ns(number) < self.length_ns
 
     def ended(self, at_ns: int) -> int:
-        """Return how many times it has ended by then."""
+        """Return the number of times that it has ended by then."""
         return self.begun(at_ns - self.length_ns)
 
 
 class ReadyLayout(NamedTuple):
-    """The place of a chip's triad of `length` bytes (9 for axes of 20 bits); the bits of a register, and of the bytes
+    """The location of a chip's triad of `length` bytes (9 for axes of 20 bits), and the bits, in a register or in bytes
     of the triad, that mark it as new.
     """
 
@@ -80,7 +80,7 @@ LAYOUTS = MappingProxyType(
 class ChipFault:
     """One fault of one chip: `action` is a key of `firmware_emulator.faults.CHIP_FAULTS`.
 
-    With `until_set_up` it is over when the chip is next written to. `bias` is of a start-up fault.
+    With `until_set_up` it ends when the chip is next written to. `bias` is that of a start-up fault.
     """
 
     action: str
@@ -92,12 +92,12 @@ class ChipFault:
     held: bytes = b""
 
     def active(self, at_ns: int) -> bool:
-        """Return whether it lasts and has not been ended by a set-up."""
+        """Return whether it is active and has not been ended by a set-up."""
         return self.times.during(at_ns) and self.times.begun(at_ns) > self.cured
 
 
 class FaultyDevice:
-    """A chip of that `kind` with its faults, in place of `device`, which is the chip or a device in front of it."""
+    """A chip of that `kind` with its faults. It replaces `device`, which is the chip or a device in front of it."""
 
     def __init__(
         self, device: Target, chip: Chip, kind: str, faults: Sequence[ChipFault], powered_on_ns: int = 0
@@ -121,9 +121,7 @@ class FaultyDevice:
         return any(fault.action == "hangs" and fault.active(at_ns - self._powered_on_ns) for fault in self._faults)
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Write to the device, unless it does not answer or is unplugged, after carrying out the faults that were
-        due.
-        """
+        """Carry out the faults that are due, then write to the device, unless it does not answer or is unplugged."""
         since_ns = at_ns - self._powered_on_ns
         for fault in self._faults:
             self._catch_up(fault, since_ns)
@@ -180,7 +178,9 @@ class FaultyDevice:
 
 
 def _unshadow(chip: Chip, at_ns: int) -> None:
-    """Flip the bit that keeps low and high byte together (BMA-99)."""
+    """Set the bit that disables the shadow of the high byte, so that low and high byte can belong to two readings
+    (BMA-99).
+    """
     control = chip.page[bma180.CTRL_REG0.address]
     chip.store(bma180.CTRL_REG0.address, control | bma180.EE_W.mask, at_ns)
     chip.store(bma180.GAIN_Y.address, chip.page[bma180.GAIN_Y.address] | bma180.SHADOW_DIS.mask, at_ns)
@@ -188,7 +188,7 @@ def _unshadow(chip: Chip, at_ns: int) -> None:
 
 
 def _update_at_once(chip: Chip, at_ns: int) -> None:
-    """Flip the bit that keeps low and high byte together (L3G-50)."""
+    """Clear the bit that keeps low and high byte of a reading together (L3G-50)."""
     control = chip.page[l3g4200d.CTRL_REG4.address]
     chip.store(l3g4200d.CTRL_REG4.address, control & ~l3g4200d.BLOCK_DATA_UPDATE.mask, at_ns)
 
@@ -196,7 +196,7 @@ def _update_at_once(chip: Chip, at_ns: int) -> None:
 TEARS: MappingProxyType[str, Callable[[Chip, int], None]] = MappingProxyType(
     {"bma180": _unshadow, "l3g4200d": _update_at_once}
 )
-"""Functions that make readings torn, by chip; the others have no such bit (ADX-49, HMC-33)."""
+"""Functions that cause torn readings, by chip; other chips have no bit for this (ADX-49, HMC-33)."""
 
 
 class ShiftedElement:
@@ -206,7 +206,7 @@ class ShiftedElement:
         self._element, self._faults, self._powered_on_ns = element, faults, powered_on_ns
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Return the element's sample, plus the biases of present faults."""
+        """Return the element's sample plus the biases of active faults."""
         x, y, z = self._element.sample(at_ns, full_scale, bandwidth_hz)
         for fault in self._faults:
             if fault.active(at_ns - self._powered_on_ns):

@@ -29,7 +29,7 @@ DIES: dict[str, Die] = {
 HALVES: dict[str, Half] = {
     f"{name}_{suffix}": half for name, die in DIES.items() for suffix, half in die.halves.items()
 }
-"""Chips of which two sensors in one place are one die."""
+"""Chips of which two sensors at one place are the two halves of one die."""
 
 
 def _chip_of(die: Die, half: Half) -> Callable[..., Chip]:
@@ -62,4 +62,4 @@ ON_AUXILIARY_BUS = ("ak8963", "ak8975")
 """Chips that can't be reached until the bypass of an MPU-9150 or MPU-9250 on the same bus is open."""
 
 BAROMETERS = ("bmp180", "bmp280", "bmp388")
-"""Chips that have no axes, and draw their noise themselves, from a `generator`."""
+"""Chips that have no axes and draw their own noise from a `generator`."""

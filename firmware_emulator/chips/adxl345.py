@@ -1,7 +1,7 @@
 """ADXL345 accelerometer: Analog Devices data sheet Rev. E (2015); ADX-01 ... ADX-69, DEC-24, DEC-25.
 
 Conversions fall on the chip's own grid: the first 1/ODR + 1.1 ms after measurement is switched on, then one every
-1/ODR. They are computed when the chip is read, so a value that is read twice within a period is the same. Not modelled:
+1/ODR. They are computed when the chip is read; a value that is read twice within a period is the same. Not modelled:
 tap, activity, inactivity and free-fall (their bits read 0) and the wake-up rates of sleep.
 """
 
@@ -21,7 +21,9 @@ SLOTS = 32
 MOST_SETS = SLOTS + 1  # one more set is held in the data registers (ADX-51, DEC-24)
 OFFSET_STEP_G = 1 / 64  # 15.6 mg (ADX-12)
 SELF_TEST_G: Triple = (1.15, -1.15, 1.85)
-"""Middle of the limits at 2.5 V, within those at 3.3 V too (ADX-58)."""
+"""Change of the output by the self-test in g: the middle of the limits at 2.5 V, which is also within those at 3.3 V
+(ADX-58).
+"""
 QUIET_BANDWIDTH_HZ = 50.0  # noise does not fall below that of 100 Hz ODR (ADX-68)
 LOW_POWER_BANDWIDTH_HZ = 288.0  # (1.8 / 0.75)**2 times 50 Hz: the noise of low-power mode (ADX-67, ADX-69)
 EVEN_ONLY_RATES = (0xE, 0xF)  # ADX-47
@@ -58,7 +60,8 @@ class Format(NamedTuple):
 def format_of(data_format: int, rate_code: int) -> Format:
     """Return the format that register DATA_FORMAT and the rate code select (ADX-40 ... ADX-47).
 
-    With FULL_RES a code is always 1/256 g and the word grows with the range; without, ten bits span every range.
+    With FULL_RES a code is always 1/256 g and the word grows with the range; without FULL_RES, ten bits span every
+    range.
     """
     octave, full_resolution = facts.RANGE.of(data_format), bool(facts.FULL_RES.of(data_format))
     half_span = 512 << octave if full_resolution else 512
@@ -76,7 +79,7 @@ class Adxl345Chip(Chip):
         super().__init__(address, facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Standby, no data, every register at its reset value; there is no other reset (ADX-31, ADX-38)."""
+        """Set standby without data and every register to its reset value; there is no other reset (ADX-31, ADX-38)."""
         super().power_on(at_ns)
         self._sets.clear()
         self._overrun = self._reading = self._triggered = self._measuring = False
@@ -85,7 +88,9 @@ class Adxl345Chip(Chip):
         self._configure(at_ns)
 
     def event(self, pin: int, at_ns: int) -> None:
-        """Note an edge on INT1 (`pin` 0) or INT2 (1): in trigger mode the chosen one freezes the history (ADX-53)."""
+        """Note an edge on INT1 (`pin` 0) or INT2 (1): in trigger mode, an edge on the selected pin freezes the history
+        (ADX-53).
+        """
         self._convert(at_ns)
         control = self.page[facts.FIFO_CTL.address]
         if self._mode == TRIGGER and pin == facts.TRIGGER.of(control) and not self._triggered:
@@ -94,7 +99,7 @@ class Adxl345Chip(Chip):
                 self._sets.popleft()
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register; after the last data byte the read of a set is over (ADX-55)."""
+        """Return the next register; the read of a set ends after the last data byte (ADX-55)."""
         if reading and pointer == DATA[-1]:
             self._reading = False
         return pointer + 1 & 0xFF
@@ -129,7 +134,7 @@ class Adxl345Chip(Chip):
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """Make conversions up to now with the old setting; bypass empties the FIFO (ADX-57)."""
+        """Store a byte; conversions up to now still use the old setting, and bypass empties the FIFO (ADX-57)."""
         self._convert(at_ns)
         mode = self._mode
         super().store(address, value, at_ns)
@@ -179,7 +184,7 @@ class Adxl345Chip(Chip):
             self._collect(due_ns, finished)
 
     def _collect(self, due_ns: int, finished: int) -> None:
-        # Stream keeps the newest sets (the deque drops the oldest), FIFO mode the first that fit.
+        # Stream mode keeps the newest sets (the deque drops the oldest), FIFO mode the first ones that fit.
         filling = self._mode == FIFO or self._triggered
         stored = min(finished, MOST_SETS - len(self._sets) if filling else MOST_SETS)
         first_ns = due_ns if filling else self._due_ns - stored * self._period_ns

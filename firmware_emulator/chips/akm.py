@@ -1,4 +1,4 @@
-"""AKM's magnetometers behind their registers: the AK8963 of the MPU-9250 and the AK8975 of the MPU-9150.
+"""AKM's magnetometers with their registers: the AK8963 of the MPU-9250 and the AK8975 of the MPU-9150.
 
 AK8963: AKM data sheet MS1356-E-02 (2013); AKM-01 ... AKM-16, DEC-230 to -233. AK8975: AKM-21 ... AKM-28, DEC-231 to
 -235; it measures once on command and powers down afterwards. Not modelled: the external trigger, the I2C disable
@@ -35,14 +35,14 @@ AK8975_OWN_FIELD = (0.0, 0.0, -1.8)
 
 
 class AkmChip(Chip):
-    """A magnetometer with the registers of `table`, its mode in `control`; `adjustment` is the content of its fuse ROM,
+    """A magnetometer with the registers of `table`, its mode in `control`; `adjustment` is the content of the fuse ROM,
     `identity` that of WIA.
     """
 
     table: ClassVar[ModuleType]
     control: ClassVar[int]
     own_field: ClassVar[Triple]
-    """Field of the self-test in gauss, in place of the external field."""
+    """Field of the self-test in gauss; it replaces the external field."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class AkmChip(Chip):
         return int(self.table.MODE.of(self.page[self.control]))
 
     def _input(self, at_ns: int, full_scale: float) -> Triple:
-        """Return the field in gauss that a measurement shows."""
+        """Return the field in gauss that is measured."""
         gauss = self.element.sample(at_ns, full_scale, 50.0)
         is_own = self._mode == SELF_TEST and self.table.SELF_TEST.of(self.page[self.table.ASTC.address])
         return self.own_field if is_own else gauss

@@ -1,22 +1,22 @@
-"""BMA180 accelerometer behind its registers, after the Bosch data sheet v2.5 (facts BMA-01 ... BMA-107).
+"""BMA180 accelerometer with its registers, according to the Bosch data sheet v2.5 (facts BMA-01 ... BMA-107).
 
-Three regions: operational registers, the image 0x20 ... 0x3B that acts on the chip, and the EEPROM from which the image
-is loaded. It wakes up measuring at +/-2 g, 150 Hz. It models the known pitfalls: image writes that are acknowledged and
-dropped while ee_w is 0, the 10 ms download that undoes early writes, trims beside settings, writes in (register, value)
-pairs.
+There are three regions: operational registers, the image 0x20 ... 0x3B that acts on the chip, and the EEPROM from which
+the image is loaded. After wake-up it measures at +/-2 g, 150 Hz. The model includes the known pitfalls: image writes
+that are acknowledged and dropped while ee_w is 0, the 10 ms download that undoes early writes, trims next to settings
+in the same registers, writes in (register, value) pairs.
 
 Not modelled: the interrupt logic and the offset regulation, so their status bits read 0; wake-up mode; the
 thermometer's gain trim.
 
 The signal path is sensing element, free-running converter, filter. One cycle converts temperature, x, y, z, a quarter
 of a period each (BMA-94). The model evaluates the element once per cycle, when x is ready, and publishes each axis when
-its own quarter is over; if quarters are so long that the box moves in them, it evaluates the element once per axis,
-when that is ready. Cycles count from the last change of a setting; index -1 denotes the contents of the registers at
-that change. Codes are signed 14-bit integers (BMA-60).
+its own quarter ends. If the box moves noticeably within a quarter, because quarters are long, it evaluates the element
+once for each axis, when that axis is ready. Cycles count from the last change of a setting; index -1 denotes the
+contents of the registers at that change. Codes are signed 14-bit integers (BMA-60).
 
-Choices where the data sheet is silent: the filter settles exponentially (DEC-14), in codes, at its cut-off frequency;
-with an unauthorised range or bandwidth code (BMA-77, BMA-91) the converter stops, so that its codes are not mistaken
-for data; modes 01 and 10 act as 00 (BMA-96). The steps of the trims are choices too, see `Trims`.
+Choices where the data sheet states nothing: the filter settles exponentially (DEC-14), in codes, at its cut-off
+frequency; with an unauthorised range or bandwidth code (BMA-77, BMA-91) the converter stops, so that its codes are not
+mistaken for data; modes 01 and 10 act as 00 (BMA-96). The steps of the trims are choices too, see `Trims`.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ SELF_TEST_NS = 8_000_000  # less than 10 ms, BMA-104
 SELF_TEST_G = 700 / 4096  # typical response, 700 codes at 2 g (BMA-104)
 
 IN_TURN_NS = 500_000
-"""Quarters from which on the element is evaluated for every axis when it is ready: five times those of an accurate
-oscillator.
+"""Length of a quarter in ns from which on the element is evaluated separately for every axis, when that axis is ready:
+five times a quarter with an accurate oscillator.
 """
 
 _BURST = Struct("<hhh")
@@ -69,12 +69,12 @@ Codes = tuple[int, int, int]
 
 
 class Trims(NamedTuple):
-    """Factory trims. Only their difference from the part's own values has an effect: those cancel the errors of the raw
-    element.
+    """Factory trims. Only their difference from the part's own values has an effect, because the part's own values
+    cancel the errors of the raw element.
 
     One step of a 12-bit offset is a sixteenth of 27 codes at 2 g (BMA-121 read as a step of its upper eight bits).
-    Chosen, because no figures are published: 0.5 % per step of gain; steps of tco and tcs of twice the drift that the
-    factory leaves (BMA-115, BMA-116); 1 code per step of offset_t.
+    Assumed, because no figures are published: 0.5 % per step of gain; steps of tco and tcs of twice the drift that
+    remains after the factory trim (BMA-115, BMA-116); 1 code per step of offset_t.
     """
 
     offset: Codes
@@ -92,7 +92,7 @@ TRIM_DEGC = 25.0
 
 
 class Settings(NamedTuple):
-    """The settings that change a conversion."""
+    """The settings that affect a conversion."""
 
     range_code: int
     bandwidth_code: int
@@ -104,7 +104,7 @@ class Settings(NamedTuple):
 
 
 class Converter:
-    """The contents of the data registers at any instant, their new_data bits and MSB shadows included."""
+    """The contents of the data registers at any instant, including their new_data bits and MSB shadows."""
 
     def __init__(self, element: Element, factory: Trims, rate_error: float) -> None:
         self._element = element
@@ -164,19 +164,19 @@ class Converter:
         self._plain = not (self._thermal or self._settings.self_test or self._high_pass)
 
     def _cycle(self, axis: int, at_ns: int) -> int:
-        """Return the latest cycle that register `axis` shows at `at_ns`."""
+        """Return the latest cycle of which register `axis` contains the result at `at_ns`."""
         cycle = (at_ns - self._start_ns - self._ready_after_ns[axis]) // self._period_ns
         return cycle if cycle >= 0 else -1
 
     def _codes(self, cycle: int, at_ns: int) -> Codes:
-        """Return the codes of `cycle`, one of those that the registers show at `at_ns`."""
+        """Return the codes of `cycle`, which is one of those in the registers at `at_ns`."""
         if cycle == self._latest_index:
             return self._latest
         if cycle == self._earlier_index:
             return self._earlier
         oldest = self._cycle(2, at_ns)
         if self._latest_index < oldest < cycle:
-            self._convert(oldest)  # z still shows it: the element is never evaluated at an earlier time
+            self._convert(oldest)  # z still contains it: the element is never evaluated at an earlier time
         return self._convert(cycle)
 
     def _convert(self, cycle: int) -> Codes:
@@ -246,8 +246,8 @@ class Converter:
         return self._temperature
 
     def burst(self, at_ns: int, byte_ns: int) -> bytes:
-        """Return six bytes, x low to z high, shadowed: the results of `low_byte` and `high_byte` in turn, computed
-        faster.
+        """Return six bytes, x low to z high, shadowed: the same as the results of `low_byte` and `high_byte` in turn,
+        computed faster.
         """
         period = self._period_ns
         after_x, after_y, after_z = self._ready_after_ns
@@ -312,7 +312,7 @@ def trims_of(page: bytes | bytearray) -> Trims:
 
 
 def settings_of(page: bytes | bytearray) -> Settings:
-    """Return the settings of a conversion that the register page holds."""
+    """Return the settings of a conversion in a register page."""
     testing = bool(facts.SELF_TEST_0.of(page[_CONTROL]))
     return Settings(
         range_code=facts.RANGE.of(page[0x35]),
@@ -328,11 +328,11 @@ def settings_of(page: bytes | bytearray) -> Settings:
 class Bma180Chip(Chip):
     """The chip. `eeprom_writes` counts writes to 0x40 and above, which a driver must never do (BMA-55, DEC-13).
 
-    eeprom: bytes by register address that differ from BMA-58: a part's own trims, a previous owner's settings (BMA-59).
-    left_over: registers as an earlier program left them; the part then neither boots nor warms up.
-    download_ns: how long the EEPROM takes to be read, 0 for an instantaneous download (DEC-10).
-    early_writes_vanish: image writes during the download are dropped at once, not undone at its end (DEC-10).
-    rate_error: relative error of the oscillator, within +/-0.1 (BMA-107).
+    eeprom: bytes by register address that differ from BMA-58: a part's own trims, settings of a previous owner
+    (BMA-59). left_over: registers as an earlier program set them; the part then neither boots nor warms up.
+    download_ns: duration of the download from the EEPROM, 0 for an instantaneous one (DEC-10). early_writes_vanish:
+    image writes during the download are dropped immediately, not undone at its end (DEC-10). rate_error: relative error
+    of the oscillator, within +/-0.1 (BMA-107).
     """
 
     # The switches are properties that data sheets do not specify, or settings of an earlier program.
@@ -363,7 +363,9 @@ class Bma180Chip(Chip):
             self._leave(left_over, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Set the registers to their reset values and the image to the EEPROM; the download begins (BMA-52, BMA-57)."""
+        """Set the registers to their reset values and the image to that of the EEPROM; begin the download (BMA-52,
+        BMA-57).
+        """
         super().power_on(at_ns)
         self.address = self._strapped
         self.page[facts.VERSION.address] = VERSION
@@ -409,7 +411,7 @@ class Bma180Chip(Chip):
         self._next_ns = min(self._download_end_ns, self._self_test_end_ns, self._burn_end_ns)
         self._converter.apply(at_ns, settings_of(self.page), self._ready_ns)
         if facts.DIS_I2C.of(self.page[facts.HIGH_DUR.address]):
-            self.address = NO_ADDRESS  # BMA-33: silent until the supply is switched off and on
+            self.address = NO_ADDRESS  # BMA-33: no answer until the supply is switched off and on
 
     # Reading --------------------------------------------------------------------------------------------------------
 
@@ -445,15 +447,13 @@ class Bma180Chip(Chip):
         return self.page[address]
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The pointer has seven bits (BMA-03, BMA-04)."""
+        """Return the next pointer, which has seven bits (BMA-03, BMA-04)."""
         return pointer + 1 & 0x7F
 
     # Writing --------------------------------------------------------------------------------------------------------
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Write registers and values in turn (BMA-05). Every byte is acknowledged, also where nothing is stored
-        (BMA-07).
-        """
+        """Write registers and values in turn (BMA-05). Every byte is acknowledged, even if not stored (BMA-07)."""
         if at_ns >= self._next_ns:
             self._catch_up(at_ns)
         if len(data) == 1 and self.address != NO_ADDRESS:  # the usual case
@@ -470,7 +470,9 @@ class Bma180Chip(Chip):
         return len(data)
 
     def stop(self, at_ns: int) -> None:
-        """End the transaction: a write to the EEPROM's window needs no data byte (BMA-55), unless a read follows."""
+        """End the transaction: a write to the EEPROM's window takes effect without a data byte (BMA-55), unless a read
+        follows.
+        """
         if self._pending is not None and self._pending in WINDOW and self._pending % 2 == 0:
             self._burn(self._pending, at_ns)
         self._pending = None
@@ -501,8 +503,8 @@ class Bma180Chip(Chip):
             super().store(address, value, at_ns)  # ctrl_reg1 is one-shot (BMA-22) and reads 0
 
     def _control(self, value: int, at_ns: int) -> None:
-        """Carry out ctrl_reg0 (BMA-21): update_image and st0 last until they clear themselves, reset_int is over at
-        once.
+        """Carry out ctrl_reg0 (BMA-21): update_image and st0 stay set until they clear themselves, reset_int clears
+        itself immediately.
         """
         previous = self.page[_CONTROL]
         self.page[_CONTROL] = value & ~(facts.CTRL_REG0.reserved | facts.RESET_INT.mask) & 0xFF
@@ -526,8 +528,8 @@ class Bma180Chip(Chip):
         self._begin(at_ns)
 
     def _burn(self, address: int, at_ns: int) -> None:
-        """Copy two bytes of the image into the EEPROM, if the address is even and the EEPROM not busy; count the write
-        in any case.
+        """Copy two bytes of the image into the EEPROM if the address is even and the EEPROM is not busy; always count
+        the write.
         """
         self.eeprom_writes += 1
         if address not in WINDOW or address % 2 or self._burn_end_ns != FAR_NS or self._download_end_ns != FAR_NS:

@@ -1,7 +1,7 @@
-"""BMP180 barometer behind its registers, after the Bosch data sheet v2.8 (facts BMP-01 ... BMP-67).
+"""BMP180 barometer with its registers, according to the Bosch data sheet v2.8 (facts BMP-01 ... BMP-67).
 
-One command, one conversion; temperature and pressure share the result registers, which keep the previous result
-until the new one is finished (BMP-48). Conversions take the typical time (BMP-40 ... BMP-44).
+Each command starts one conversion. Temperature and pressure share the result registers, which keep the previous result
+until the new one is complete (BMP-48). Conversions take the typical time (BMP-40 ... BMP-44).
 
 Choices: commands in the 10 ms after power-on or reset (BMP-50) are acknowledged and lost; a command during a conversion
 replaces it; an unknown measurement starts nothing, and sco reads 0 at once.
@@ -31,7 +31,7 @@ STEPS_PER_DEGC = 160  # B5 is the temperature in sixteenths of 0.1 degC: BMP-60
 
 
 class Bmp180Words(NamedTuple):
-    """Calibration words of one part, signed as BMP-20 ... BMP-30 say; defaults: the data sheet's example."""
+    """Calibration words of one part, signed as in BMP-20 ... BMP-30; the defaults are the data sheet's example."""
 
     AC1: int = 408
     AC2: int = -72
@@ -103,7 +103,7 @@ class Bmp180Chip(BoschBarometer):
         self._up_at: tuple[tuple[int, int, float], int] = ((0, -1, 0.0), 0)
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte, after a conversion that has ended by `at_ns` has left its result."""
+        """Return a register's byte, after storing the result of a conversion that has ended by `at_ns`."""
         if at_ns >= self._end_ns:
             self._finish()
         return self.page[address]

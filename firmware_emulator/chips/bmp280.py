@@ -1,7 +1,8 @@
-"""BMP280 barometer behind its registers, after the Bosch data sheet BST-BMP280-DS001 rev. 1.23 (BMP-101 ... BMP-126).
+"""BMP280 barometer with its registers, according to the Bosch data sheet BST-BMP280-DS001 rev. 1.23 (BMP-101 ...
+BMP-126).
 
-It sleeps after power-on. In forced mode it measures once and sleeps again, in normal mode over and over with a pause in
-between (BMP-107). A measurement takes the typical time (BMP-109).
+It sleeps after power-on. In forced mode it measures once and sleeps again, in normal mode it measures repeatedly with a
+pause in between (BMP-107). A measurement takes the typical time (BMP-109).
 
 Choices (DEC-90, DEC-91): writes in the first 2 ms after power-on or reset are acknowledged and lost, and the bit that
 indicates the copying of calibration words is set during that time; a write to ctrl_meas aborts a measurement.
@@ -24,7 +25,7 @@ BITS = 20
 
 
 class Bmp280Words(NamedTuple):
-    """Calibration words of one part, signed as BMP-103 says; defaults: the data sheet's example."""
+    """Calibration words of one part, signed as in BMP-103; the defaults are the data sheet's example."""
 
     T1: int = 27504
     T2: int = 26435
@@ -88,7 +89,7 @@ class Bmp280Chip(CyclicBarometer):
 
     @property
     def duration_ns(self) -> int:
-        """Return the time of a measurement: 1 ms, 2 ms for each sample, and 0.5 ms where the pressure is measured
+        """Return the time of a measurement: 1 ms, plus 2 ms for each sample, plus 0.5 ms if the pressure is measured
         (BMP-109).
         """
         control = self.page[_CONTROL]
@@ -111,7 +112,7 @@ class Bmp280Chip(CyclicBarometer):
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
-        """Return pressure, then temperature, 20 bits each (BMP-111)."""
+        """Write pressure and then temperature into the data registers, 20 bits each (BMP-111)."""
         control = self.page[_CONTROL]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(control), facts.PRESSURE_OVERSAMPLING.of(control)
         ut = self.ut(at_ns)
@@ -122,8 +123,8 @@ class Bmp280Chip(CyclicBarometer):
         self.page[_DATA : _DATA + len(data)] = data
 
     def _rounded(self, value: float, code: int) -> int:
-        """Return the number of bits: 16 and one more for each doubling of samples; with the filter always 20 (BMP-106,
-        BMP-110).
+        """Return a word rounded to its resolution: 16 bits and one more for each doubling of samples; with the filter
+        always 20 bits (BMP-106, BMP-110).
         """
         if not code:
             return SKIPPED

@@ -1,10 +1,11 @@
-"""BMP388 barometer behind its registers, after the Bosch data sheet BST-BMP388-DS001 rev. 1.0 (BMP-201 ... BMP-223).
+"""BMP388 barometer with its registers, according to the Bosch data sheet BST-BMP388-DS001 rev. 1.0 (BMP-201 ...
+BMP-223).
 
 It sleeps after power-on. In forced mode it measures once and sleeps again, in normal mode at the set period (BMP-207).
 A measurement takes the typical time (BMP-209).
 
-Choices (DEC-220 to -222): writes in the first 2 ms after power-on or reset are acknowledged and lost; noise without
-filter is the BMP280's. The queue, interrupts and the sensor's clock are not modelled.
+Choices (DEC-220 to -222): writes in the first 2 ms after power-on or reset are acknowledged and lost; the noise without
+filter is that of the BMP280. The queue, interrupts and the sensor's clock are not modelled.
 
 Raw words follow from temperature and pressure by inverting the compensation (facts BMP-203, BMP-221): the data sheet's
 formulas in real numbers (its chapter 9), which its integer formulas approximate, are solved for the words that give the
@@ -24,7 +25,7 @@ BITS = 24
 
 
 class Bmp388Words(NamedTuple):
-    """Calibration words of one part, signed as BMP-203 says; defaults: the example of BMP-220."""
+    """Calibration words of one part, signed as in BMP-203; the defaults are the example of BMP-220."""
 
     T1: int = 27427
     T2: int = 18776
@@ -86,14 +87,14 @@ class Bmp388Chip(CyclicBarometer):
     control = _POWER
 
     def power_on(self, at_ns: int) -> None:
-        """Start up ready for commands."""
+        """Start up and accept commands."""
         super().power_on(at_ns)
         self.page[_STATUS] = facts.COMMAND_READY.mask
 
     @property
     def duration_ns(self) -> int:
-        """Return the time of a measurement: 234 us, and 392 us and 2020 us a sample of pressure, 163 us and 2020 us a
-        sample of temperature (BMP-209).
+        """Return the time of a measurement: 234 us, plus 392 us and 2020 us per sample for the pressure, plus 163 us
+        and 2020 us per sample for the temperature (BMP-209).
         """
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         pressure = 392_000 + (2_020_000 << facts.PRESSURE_OVERSAMPLING.of(oversampling))
@@ -115,7 +116,9 @@ class Bmp388Chip(CyclicBarometer):
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
-        """Return pressure, then temperature, 24 bits each, with a flag for each (BMP-205, BMP-211)."""
+        """Write pressure and then temperature into the data registers, 24 bits each, and set a flag for each (BMP-205,
+        BMP-211).
+        """
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(oversampling), facts.PRESSURE_OVERSAMPLING.of(oversampling)
         enabled = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)

@@ -1,4 +1,4 @@
-"""Bosch barometers: calibration words, pressure noise, and the measurements of those with forced and normal mode."""
+"""Bosch barometers: calibration words, pressure noise, and the measurements of chips with forced and normal mode."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ FILTERED = 64
 class BoschBarometer(Chip):
     """A barometer with calibration words in its registers; its next conversion ends at `_end_ns`.
 
-    `facts` are the registers of the chip. `words` are the calibration words, at first those of the data sheet's
-    example, with `word_bytes` bytes each in the registers. Commands in the first `start_up_ns` after power-on or reset
-    are lost.
+    `facts` are the registers of the chip. `words` are the calibration words, by default those of the data sheet's
+    example; `word_bytes` is the size of each in the registers. Commands in the first `start_up_ns` after power-on or
+    reset are lost.
     """
 
     facts: ClassVar[ModuleType]
@@ -41,9 +41,9 @@ class BoschBarometer(Chip):
         generator: random.Random | None = None,
         identity: int | None = None,
     ) -> None:
-        """`calibration` holds the words by name that differ from the data sheet's example, `generator` draws the
-        pressure noise (None: no noise; temperature noise is not modelled: BMP-77), `identity` is the content of the
-        identity register (None: as the data sheet prints).
+        """Create the chip. `calibration` contains the words, by name, that differ from the data sheet's example;
+        `generator` draws the pressure noise (None: no noise; temperature noise is not modelled: BMP-77); `identity` is
+        the content of the identity register (None: that of the data sheet).
         """
         self._generator, self._identity = generator, identity
         self._ut_at: tuple[float, int] = (float("nan"), 0)
@@ -76,7 +76,7 @@ class BoschBarometer(Chip):
         return self._ut_at[1]
 
     def pressure_pa(self, at_ns: int, noise_pa: float) -> float:
-        """Return the pressure at that time, with noise of that rms."""
+        """Return the pressure in Pa at that time, with noise of this rms."""
         noise = 0.0 if self._generator is None else self._generator.gauss(0.0, noise_pa)
         return self.element.pressure(at_ns) + noise
 
@@ -116,7 +116,7 @@ class CyclicBarometer(BoschBarometer):
         """Measure, and write the result into the data registers."""
 
     def begin(self, mode: int, at_ns: int) -> None:
-        """Start a mode: measurements end from now on."""
+        """Start a mode; its first measurement begins now."""
         self._end_ns = FAR_NS if mode == SLEEP else at_ns + self.duration_ns
 
     def sync(self, at_ns: int) -> None:
@@ -135,20 +135,20 @@ class CyclicBarometer(BoschBarometer):
         self._end_ns += count * period_ns
 
     def filtered(self, ut: int, up: int) -> tuple[float, float]:
-        """Return both words after the filter, which returns the first ones unchanged."""
+        """Return both words after the filter, which does not change the first ones."""
         new, divisor = (float(ut), float(up)), self.filter_divisor
         old = self._memory or new
         self._memory = old[0] + (new[0] - old[0]) / divisor, old[1] + (new[1] - old[1]) / divisor
         return self._memory
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read a burst, which shows the registers as they are at its beginning (BMP-112, BMP-211)."""
+        """Read a burst; all its bytes are those at its beginning (BMP-112, BMP-211)."""
         return super().read(count, at_ns, 0)
 
 
 def nearest(function: Callable[[int], float], low: int, high: int, target: float) -> int:
-    """Return the argument in low ... high at which a rising function is closest to `target`, the lower of two
-    equals.
+    """Return the argument in low ... high at which a rising function is closest to `target`; the lower one of two
+    equally close ones.
     """
     bottom, top = low, high
     while bottom < top:

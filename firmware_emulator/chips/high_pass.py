@@ -1,6 +1,6 @@
 """A first-order high-pass that is evaluated at irregular times, whenever the emulated filter is read.
 
-The input is taken to be constant between two calls, at its value of the earlier one. Any unit; times in integer
+The input is assumed to be constant between two calls, at its value in the earlier call. Any unit; times in integer
 nanoseconds.
 """
 
@@ -21,7 +21,7 @@ class HighPass:
         self._removed: Triple = (0.0, 0.0, 0.0)
 
     def __call__(self, value: Triple, at_ns: int) -> Triple:
-        """Filter `value`, the input at `at_ns`, which never decreases between calls."""
+        """Filter `value`, the input at `at_ns`; `at_ns` never decreases from call to call."""
         earlier = value if self._input is None else self._input
         share = math.exp(self._per_ns * max(0, at_ns - self._at_ns))
         x, y, z = (old + (new - old) * share for new, old in zip(self._removed, earlier, strict=True))
@@ -29,5 +29,5 @@ class HighPass:
         return value[0] - x, value[1] - y, value[2] - z
 
     def zero(self, value: Triple, at_ns: int) -> None:
-        """Make an input of `value` give 0 from `at_ns` on."""
+        """Set the state so that an input of `value` gives 0 from `at_ns` on."""
         self._at_ns, self._input, self._removed = at_ns, value, value

@@ -1,8 +1,8 @@
 """HMC5883 and HMC5883L magnetometers: Honeywell Form 900405 Rev A (2010), Rev E; HMC-01 ... HMC-53, DEC-30 ... DEC-32.
 
-Continuous mode measures on a grid that begins with the last write to a configuration register (HMC-37), single mode
-once. Not modelled: that bus traffic delays a measurement (HMC-39). The pointer increments after bytes that are read,
-not after those that are written (HMC-05).
+In continuous mode it measures on a grid that begins with the last write to a configuration register (HMC-37), in single
+mode once. The delay of a measurement by bus traffic is not modelled (HMC-39). The pointer increments after bytes that
+are read, not after those that are written (HMC-05).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PERIODS_NS = tuple(round(1e9 / rate_hz) for rate_hz in (0.75, 1.5, 3.0, 7.5, 15.
 BANDWIDTH_HZ = 80.0
 """Bandwidth of one measurement: half the fastest rate, 160 Hz (HMC-29)."""
 INVALID = -4096
-"""Code of values that the 12-bit converter can't express (HMC-32)."""
+"""Code for values outside the span of the 12-bit converter (HMC-32)."""
 DATA = range(facts.DATA_X_MSB.address, facts.DATA_Y_LSB.address + 1)
 ALL_SIX = 0b111111
 WORDS = Struct(">3h")
@@ -71,7 +71,7 @@ def word(code: int) -> int:
 
 
 class Hmc5883Chip(Chip):
-    """An HMC5883 or HMC5883L, by `variant`; `wrap` is the register after whose read the pointer returns to 3: 8 or 9
+    """An HMC5883 or HMC5883L, by `variant`; when register `wrap` has been read, 8 or 9, the pointer returns to 3
     (DEC-30).
     """
 
@@ -114,8 +114,8 @@ class Hmc5883Chip(Chip):
         return bytes(self.page[DATA.start : DATA.stop])
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a byte: data bytes lock the output until all six are read; on the L so does reading the mode (HMC-33,
-        HMC-34).
+        """Return a byte: data bytes lock the output until all six are read; on the HMC5883L, reading the mode also
+        locks it (HMC-33, HMC-34).
         """
         self._convert(at_ns)
         if address in DATA:
@@ -127,8 +127,8 @@ class Hmc5883Chip(Chip):
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """Write a register: all three writable registers restart the measurement; A and the mode unlock the output
-        (HMC-34, HMC-37).
+        """Write a register: each of the three writable registers restarts the measurement; register A and the mode also
+        unlock the output (HMC-34, HMC-37).
         """
         self._convert(at_ns)
         super().store(address, value, at_ns)

@@ -1,7 +1,7 @@
 """ICM-42688-P accelerometer and gyroscope: TDK InvenSense DS-000347 v1.7; TDK-*, DEC-60 to -65.
 
-After power-on both halves are off and every reading is -32768. Each half has a grid of samples of its own, which begins
-when it is switched on. Not modelled: interrupts, low-power modes, notch filter, the filters' delay.
+After power-on both halves are off and every reading is -32768. Each half has its own grid of samples, which begins when
+the half is switched on. Not modelled: interrupts, low-power modes, notch filter, the filters' delay.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class _Half:
     place: slice
     grid: SampleGrid
     zero_bits: int
-    """The lowest bits of the 20 that are always 0 in packets of high resolution (TDK-89)."""
+    """The number of lowest bits of the 20 that are always 0 in packets of high resolution (TDK-89)."""
     valid_ns: int = NEVER_NS
     fine: tuple[int, ...] = (FINE_INVALID,) * 3
     """Its latest reading in 20 bits."""
@@ -106,8 +106,8 @@ class Icm42688Chip(SixAxis):
 
     @property
     def _speed(self) -> float:
-        """Ratio of the actual to the nominal rate of sampling and counting: that of the oscillator, or of the clock at
-        pin 9 if both registers select it (TDK-24, TDK-25). 0: that clock is not connected.
+        """Return the ratio of the actual to the nominal rate of sampling and counting: that of the oscillator, or of
+        the clock at pin 9 if both registers select it (TDK-24, TDK-25); 0 if that clock is not connected.
         """
         pin = facts.PIN_9.of(self.banks[1][facts.INTF_CONFIG5.address])
         if pin == CLOCK_INPUT and facts.RTC_MODE.of(self.page[facts.INTF_CONFIG1.address]):
@@ -115,14 +115,14 @@ class Icm42688Chip(SixAxis):
         return self._oscillator
 
     def own_period_ns(self, period_ns: float) -> int:
-        """Return the period as `SixAxis.own_period_ns`; 0 without a clock."""
+        """Return the same period as `SixAxis.own_period_ns`; 0 without a clock."""
         speed = self._speed
         return round(period_ns / speed) if speed else 0
 
     # Sampling -------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """Take in the samples up to `at_ns`: into the queue, and the latest of each half into the data registers."""
+        """Store the samples up to `at_ns` in the queue, and the latest one of each half in the data registers."""
         mode, packets = facts.FIFO_MODE.of(self.page[facts.FIFO_CONFIG.address]), self._packet_control & 0b11
         if mode and packets:
             name = ACCELEROMETER if packets & 1 and self._halves[ACCELEROMETER].grid.start_ns != NEVER_NS else GYROSCOPE
@@ -138,7 +138,7 @@ class Icm42688Chip(SixAxis):
         self._sample(at_ns)
 
     def _enqueue(self, packet: bytes, capacity: int, mode: int) -> None:
-        """Append a packet to the queue; if it is full, the oldest or this one is lost (TDK-80)."""
+        """Append a packet to the queue; if it is full, the oldest packet or this one is lost (TDK-80)."""
         if len(self._packets) >= capacity:
             self._flags |= facts.FIFO_FULL.mask
             if mode == STOP_ON_FULL:
@@ -181,7 +181,9 @@ class Icm42688Chip(SixAxis):
         return control & 0b11 == 0b11 and bool(facts.FIFO_HIGH_RESOLUTION.of(control))
 
     def _stamp_ns(self, at_ns: int) -> int:
-        """Return the time in stamps: since the last pulse with FSYNC on (TDK-90, DEC-66), or since power-on."""
+        """Return the time for time stamps: since the last pulse if FSYNC is on (TDK-90, DEC-66), otherwise since
+        power-on.
+        """
         pulse_ns = self.latest_pulse_ns(at_ns) if self._has_pulse_input else None
         if pulse_ns is None or not facts.TIMESTAMP_FSYNC.of(self.page[facts.TMST_CONFIG.address]):
             return at_ns - self.powered_on_ns
@@ -193,7 +195,7 @@ class Icm42688Chip(SixAxis):
 
     def _packet(self, at_ns: int, is_marked: bool) -> bytes:
         """Return a packet: header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ...
-        TDK-83), which is the time since a pulse in the first packet after it (TDK-90); in high resolution the
+        TDK-83), which in the first packet after a pulse is the time since that pulse (TDK-90); in high resolution the
         temperature has 16 bits, and the triads' lowest four bits are last (TDK-88).
         """
         control, page = self._packet_control, self.page
@@ -225,7 +227,7 @@ class Icm42688Chip(SixAxis):
         return b"".join(self._word(code >> 4) for code in half.fine)
 
     def _take_bytes(self, count: int) -> bytes:
-        """Return the next bytes of the queue, followed by those that are read after its end."""
+        """Return the next bytes of the queue, followed by filling bytes if it ends before."""
         packet = self._part
         while len(packet) < count and self._packets:
             self._whole = self._packets.popleft()
@@ -234,8 +236,8 @@ class Icm42688Chip(SixAxis):
         return packet[:count] + bytes([EMPTY]) * (count - len(packet))
 
     def stop(self, at_ns: int) -> None:
-        """End the transaction: a partly read packet is read again from its beginning, unless reading may resume
-        (TDK-86).
+        """End the transaction: a partly read packet will be read again from its beginning, unless partial reads are
+        enabled (TDK-86).
         """
         if self._part and not facts.FIFO_RESUME.of(self._packet_control):
             self._packets.appendleft(self._whole)
@@ -296,18 +298,22 @@ class Icm42688Chip(SixAxis):
         return self._codes(rate, CODES_PER_DPS[code], code, pushed)
 
     def _codes(self, sample: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
-        """Return three codes; bit 0 of `pushed` deflects x (TDK-41), by the factory's change at this range (TDK-40)."""
+        """Return three codes; bit 0 of `pushed` deflects x (TDK-41), by the change that was measured at the factory for
+        this range (TDK-40).
+        """
         push = self._push(range_code)
         return [
             clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(sample)
         ]
 
     def _push(self, range_code: int) -> float:
-        """Return the factory's change by the self-test, in counts of this range; 0 if none is stored."""
+        """Return the change by the self-test that was measured at the factory, in counts of this range; 0 if none is
+        stored.
+        """
         return 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
 
     def _convert_finely(self, half: _Half, sample: Triple, scale: float, pushed: int) -> None:
-        """Store a reading in 20 bits, of which the lowest are 0; it does not depend on the range."""
+        """Store a reading with 20 bits, the lowest of which are 0; its scale does not depend on the range."""
         highest = (1 << 19 - half.zero_bits) - 1
         push = self._push(0) * (1 << 4 - half.zero_bits)
         codes = (round(value * scale + push * (pushed >> axis & 1)) for axis, value in enumerate(sample))
@@ -320,7 +326,7 @@ class Icm42688Chip(SixAxis):
         return facts.BANK.of(self.page[facts.REG_BANK_SEL.address])
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read a burst, which shows one instant (DEC-60)."""
+        """Read a burst; all its bytes belong to one instant (DEC-60)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         head_bytes = min(count, facts.FIFO_DATA.address - self.pointer)
@@ -329,7 +335,7 @@ class Icm42688Chip(SixAxis):
         return super().read(head_bytes, at_ns, byte_ns) + self._take_bytes(count - head_bytes)
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte in the selected bank; the bank's own register is in all of them (TDK-04)."""
+        """Return a register's byte in the selected bank; the bank's own register is in all banks (TDK-04)."""
         if address != facts.REG_BANK_SEL.address and self._bank:
             return self.banks[self._bank][address] if self._bank in self.banks else 0
         if address == facts.INT_STATUS.address:
@@ -340,7 +346,9 @@ class Icm42688Chip(SixAxis):
         return self.page[address]
 
     def _count_byte(self, first: bool) -> int:
-        """Return the count in bytes or records, both bytes latched by the first; 0 once after a flush (TDK-84)."""
+        """Return a byte of the count in bytes or records; reading the first byte latches both; 0 once after a flush
+        (TDK-84).
+        """
         control = self.page[facts.INTF_CONFIG0.address]
         if first:
             records = facts.FIFO_COUNT_RECORDS.of(control)
@@ -376,7 +384,9 @@ class Icm42688Chip(SixAxis):
                 self._restart(half, at_ns)
 
     def _hold_timestamp(self, at_ns: int) -> None:
-        """Write the time since power-on, in 20 bits, low byte first, into its registers, if it may be read (TDK-91)."""
+        """Write the time since power-on, with 20 bits, low byte first, into its registers, if reading it is enabled
+        (TDK-91).
+        """
         control = self.page[facts.TMST_CONFIG.address]
         is_read = facts.TIMESTAMP_ON.of(control) and facts.TIMESTAMP_TO_REGISTERS.of(control)
         unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(control) else 1_000
@@ -411,7 +421,7 @@ ACCELEROMETER_TOLERANCES = Tolerances(
     scale_slope_per_degc=typical(5e-5),
     thermometer_degc=typical(5.0),
 )
-"""The tolerances TDK-50 ... TDK-54; alignment is not specified apart from the cross-axis sensitivity."""
+"""The tolerances TDK-50 ... TDK-54; apart from the cross-axis sensitivity, alignment is not specified."""
 
 
 GYROSCOPE_TOLERANCES = Tolerances(

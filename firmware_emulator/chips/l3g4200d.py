@@ -1,17 +1,19 @@
-"""L3G4200D gyroscope behind its registers, after the ST data sheet Doc ID 17116 Rev 3 (facts L3G-01 ... L3G-65).
+"""L3G4200D gyroscope with its registers, according to the ST data sheet Doc ID 17116 Rev 3 (facts L3G-01 ... L3G-65).
 
-It wakes up in power-down and has no reset. Sub-address bit 7 requests the next register after every byte; without it a
-burst repeats the same register. Not modelled: the interrupts (INT1_SRC reads 0), the 3-wire SPI.
+After power-on it is in power-down; it has no reset. Sub-address bit 7 requests the next register after every byte;
+without it a burst repeats the same register. Not modelled: the interrupts (INT1_SRC reads 0), the 3-wire SPI.
 
-Choices: an axis counts as read when both its bytes are; with BDU it does not change between its first and its second
-byte (L3G-50, L3G-51). An axis that is switched off keeps its value and is never new. BOOT clears itself after 5 ms and
-has no other effect. The two modes of the FIFO that wait for an interrupt remain as before it: stream-to-FIFO streams,
-bypass-to-stream bypasses. A set is taken out when its first byte is read and stays on the output registers until its
-last one, OUT_Z_H, is; with the FIFO empty the registers keep the last set read.
+Choices: an axis counts as read when both its bytes have been read; with BDU it does not change between its first and
+its second byte (L3G-50, L3G-51). An axis that is switched off keeps its value and is never new. BOOT clears itself
+after 5 ms and has no other effect. The two FIFO modes that wait for an interrupt stay in their first mode:
+stream-to-FIFO streams, bypass-to-stream bypasses. A set is removed from the FIFO when its first byte is read, and stays
+in the output registers until its last byte, OUT_Z_H, has been read; while the FIFO is empty, the registers keep the
+last set that was read.
 
-Between element and output registers are scale, filters and self-test (facts L3G-30 ... L3G-45): 28571 codes are the
-full scale of every range (250 dps at 8.75 mdps, L3G-40 ... L3G-43). Choices: in high-pass mode 01 the output is what
-exceeds REFERENCE, read as the high byte of a code; mode 11 acts as mode 00, because the interrupt is not modelled.
+Scale, filters and self-test act between element and output registers (facts L3G-30 ... L3G-45): 28571 codes are the
+full scale of every range (250 dps at 8.75 mdps, L3G-40 ... L3G-43). Choices: in high-pass mode 01 the output is the
+difference from REFERENCE, which is the high byte of a code; mode 11 acts as mode 00, because the interrupt is not
+modelled.
 """
 
 from __future__ import annotations
@@ -69,7 +71,7 @@ def path_of(page: bytes | bytearray) -> Path:
 
 
 class Signal:
-    """Codes of the element's rate at any instant, along the path that is selected."""
+    """Codes of the element's rate at any instant, through the selected signal path."""
 
     def __init__(self, element: Element, page: bytearray) -> None:
         self._element = element
@@ -78,7 +80,7 @@ class Signal:
         self._path = path_of(page)
 
     def configure(self, at_ns: int) -> None:
-        """Take the path from the registers as they are at `at_ns`."""
+        """Set the path according to the registers at `at_ns`."""
         path = path_of(self._page)
         if path.high_pass_hz != self._path.high_pass_hz or path.reference != self._path.reference:
             filtered = path.high_pass_hz and not path.reference
@@ -93,7 +95,7 @@ class Signal:
             self._offset -= (reference - 256 if reference > 127 else reference) * 256
 
     def zero(self, at_ns: int) -> None:
-        """Make the present rate the high-pass filter's zero, as reading REFERENCE does (L3G-12)."""
+        """Set the zero of the high-pass filter to the present rate, as reading REFERENCE does (L3G-12)."""
         if self._high_pass is not None:
             path = self._path
             x, y, z = self._element.sample(at_ns, path.range_dps, path.bandwidth_hz)
@@ -124,7 +126,7 @@ LAST_BYTE = 5  # OUT_Z_H, counted from OUT_X_L
 
 
 class Fifo:
-    """Sets in the order of their conversion."""
+    """The FIFO: sets in the order of their conversion."""
 
     def __init__(self) -> None:
         self.mode = 0
@@ -136,12 +138,12 @@ class Fifo:
 
     @property
     def active(self) -> bool:
-        """True if sets are stored at all."""
+        """True if the mode stores sets."""
         return self.mode in (FIFO, STREAM, STREAM_TO_FIFO)
 
     @property
     def level(self) -> int:
-        """Sets stored, 0 ... 32."""
+        """The number of stored sets, 0 ... 32."""
         return len(self._sets)
 
     @property
@@ -160,7 +162,7 @@ class Fifo:
             self._open, self._shown, self._upto = False, shown, latest
 
     def fill(self, latest: int, convert: Callable[[int], Codes]) -> None:
-        """Take in the conversions up to `latest` that the mode stores."""
+        """Store the conversions up to `latest` according to the mode."""
         first, end = self._upto + 1, latest + 1
         if self.mode == FIFO:
             end = first if self._stopped else min(end, first + DEPTH - len(self._sets))
@@ -174,7 +176,7 @@ class Fifo:
         self._stopped = self.mode == FIFO and (self._stopped or len(self._sets) == DEPTH)
 
     def shown(self, byte: int) -> Codes:
-        """Return the set to which byte 0 ... 5 of the output registers belongs when it is read now (L3G-56)."""
+        """Return the set from which byte 0 ... 5 of the output registers is read now (L3G-56)."""
         if not self._open and self._sets:
             self._open, self._shown = True, self._sets.popleft()
         if byte == LAST_BYTE:
@@ -205,11 +207,10 @@ _LITTLE, _BIG = Struct("<hhh"), Struct(">hhh")
 class L3g4200dChip(Chip):
     """The chip. `forbidden_writes` counts writes to reserved registers, which may destroy a real part (L3G-07).
 
-    temperature_zero: OUT_TEMP at 0 degC, unknown for a real part (L3G-60).
-    left_over: registers as set by an earlier program; the part then neither boots nor warms up.
-    start_up_ns: from leaving power-down to the first conversion; L3G-65 is unverified, so the default is none.
-    wrap_always: 0x2D is followed by 0x28 also without FIFO (DEC-20).
-    rate_error: relative error of the output data rate.
+    temperature_zero: OUT_TEMP at 0 degC, unknown for a real part (L3G-60). left_over: registers as set by an earlier
+    program; the part then neither boots nor warms up. start_up_ns: time from the end of power-down to the first
+    conversion; L3G-65 is unverified, so the default is 0. wrap_always: 0x2D is followed by 0x28 even without FIFO
+    (DEC-20). rate_error: relative error of the output data rate.
     """
 
     # The switches are properties that data sheets do not specify, or settings of an earlier program.
@@ -247,7 +248,7 @@ class L3g4200dChip(Chip):
         self._axes = ALL_AXES
         self._stopped = [-1, -1, -1]  # latest conversion of an axis that is switched off
         self._read_upto = [-1, -1, -1]
-        self._half = NO_HALVES.copy()  # which byte of an axis has been read alone: 0, 1, or -1 for none
+        self._half = NO_HALVES.copy()  # the byte of an axis that has been read alone: 0, 1, or -1 for none
         self._frozen = [(0, -1)] * 3  # code and index shown between the two bytes
         self._temperature_start_ns, self._second, self._temperature = FAR_NS, -1, 0
         self._boot_end_ns = FAR_NS
@@ -269,7 +270,7 @@ class L3g4200dChip(Chip):
         return codes
 
     def _sync(self, at_ns: int) -> int:
-        """Bring outputs and FIFO up to `at_ns`; return the number of the latest conversion."""
+        """Update outputs and FIFO to `at_ns`; return the number of the latest conversion."""
         latest = self._latest(at_ns)
         if self._fifo.active:
             self._fifo.fill(latest, self._convert)
@@ -339,7 +340,7 @@ class L3g4200dChip(Chip):
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Return `count` bytes from the pointer on; a faster path serves a burst that no conversion interrupts."""
+        """Return `count` bytes from the pointer on; a burst that no conversion interrupts is read by a faster path."""
         if not self._increment or (count != 8 if self.pointer == _TEMP else count != 6 or self.pointer != _X_LOW):
             return super().read(count, at_ns, byte_ns)
         periods, since_ns = divmod(at_ns - self._start_ns, self._period_ns)
@@ -375,7 +376,7 @@ class L3g4200dChip(Chip):
         return self.page[address]
 
     def _output(self, byte: int, at_ns: int) -> int:
-        """Return byte 0 ... 5 of the output registers: the low byte of each axis first, with BLE the high one
+        """Return byte 0 ... 5 of the output registers: the low byte of each axis is first, with BLE the high byte
         (L3G-44).
         """
         latest = self._sync(at_ns)

@@ -1,4 +1,4 @@
-"""LIS3MDL magnetometer behind its registers: ST data sheet DocID024204 Rev 6; LIS-01 ... LIS-21, DEC-100 to -104.
+"""LIS3MDL magnetometer with its registers: ST data sheet DocID024204 Rev 6; LIS-01 ... LIS-21, DEC-100 to -104.
 
 It is powered down after power-on. Sub-address bit 7 requests the next register after every byte. Not modelled:
 interrupts, FAST_READ.
@@ -17,7 +17,7 @@ RATES_HZ = (0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0)  # LIS-11
 FAST_HZ = (1000.0, 560.0, 300.0, 155.0)  # by performance: LIS-11
 CODES_PER_GAUSS = (6842.0, 3421.0, 2281.0, 1711.0)  # LIS-10
 PUSH_GAUSS = (2.0, 2.0, 0.5)
-"""Change of the readings by the self-test, inside the data sheet's limits (LIS-16, DEC-101)."""
+"""Change of the readings by the self-test in gauss, within the data sheet's limits (LIS-16, DEC-101)."""
 
 _STATUS, _FIRST, _LAST = facts.STATUS_REG.address, facts.OUT_X_L.address, facts.OUT_Z_H.address
 _TEMPERATURE = facts.TEMP_OUT_L.address
@@ -110,7 +110,9 @@ class Lis3mdlChip(Chip):
         return super().write(data, at_ns, byte_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register if sub-address bit 7 requested it (LIS-03); after z follows x (LIS-18, DEC-104)."""
+        """Return the next register if sub-address bit 7 requested it (LIS-03); the data registers wrap from z to x
+        (LIS-18, DEC-104).
+        """
         if not self._increment:
             return pointer
         return _FIRST if reading and pointer == _LAST else pointer + 1 & 0x7F

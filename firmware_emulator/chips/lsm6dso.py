@@ -1,8 +1,9 @@
 """LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -74.
 
-After power-on both halves are off. Each has its own grid of samples, which begins when its rate is set, at a sample of
-the other half if that is on: both rates are divided from one clock. Not modelled: the queue's compression and
-watermark, interrupts, embedded functions, low-power modes, the gyroscope's optional filters, settling.
+After power-on both halves are off. Each half has its own grid of samples, which begins when its rate is set; if the
+other half is on, it begins at a sample of that half, because both rates are divided from one clock. Not modelled: the
+queue's compression and watermark, interrupts, embedded functions, low-power modes, the gyroscope's optional filters,
+settling.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ RANGES_DPS = {  # with mdps a code: LSM-14, LSM-31
 ACCEL_FILTER_SHARES = (4, 10, 20, 45, 100, 200, 400, 800)  # of the rate, with LPF2: LSM-19
 GYRO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 1666.0: 1108.1}  # LSM-19
 PUSH_G, PUSH_DPS = 0.4, 300.0
-"""The change of the output in self-test, within the data sheet's limits (DEC-72)."""
+"""Change of the output by the self-test in g and dps, within the data sheet's limits (DEC-72)."""
 
 FIFO_WORDS = 512  # LSM-40
 TAGS = {GYROSCOPE: 0x01, ACCELEROMETER: 0x02}  # LSM-41
@@ -89,7 +90,7 @@ class Lsm6dsoChip(SixAxis):
     # Sampling -------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """Take in the samples up to `at_ns`: into the queue, and the latest of each half into the data registers."""
+        """Store the samples up to `at_ns` in the queue, and the latest one of each half in the data registers."""
         if facts.FIFO_MODE.of(self.page[facts.FIFO_CTRL4.address]):
             for sampled_ns, name in self._due(at_ns):
                 self._sample(sampled_ns)
@@ -100,7 +101,7 @@ class Lsm6dsoChip(SixAxis):
         self._sample(at_ns)
 
     def _due(self, at_ns: int) -> list[tuple[int, str]]:
-        """Return the samples that go to the queue now, in order of time; at most twice its capacity."""
+        """Return the samples that must be stored in the queue now, in order of time; at most twice its capacity."""
         batched = self.page[facts.FIFO_CTRL3.address]
         due = []
         for name, field in ((GYROSCOPE, facts.GYRO_BATCH_RATE), (ACCELEROMETER, facts.ACCEL_BATCH_RATE)):
@@ -116,7 +117,9 @@ class Lsm6dsoChip(SixAxis):
         return int((at_ns - self._timestamp_from_ns) * self._oscillator / TIMESTAMP_NS) & 0xFFFFFFFF
 
     def _enqueue_timestamp(self, at_ns: int) -> None:
-        """Append a time before the samples of an instant, of every one, eighth or 32nd instant (LSM-48, DEC-74)."""
+        """Append a time stamp before the samples of an instant: of every instant, every eighth or every 32nd (LSM-48,
+        DEC-74).
+        """
         interval = SLOTS_PER_TIMESTAMP[facts.TIMESTAMP_BATCH.of(self.page[facts.FIFO_CTRL4.address])]
         if not interval or not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]) or at_ns == self._slot_ns:
             return
@@ -179,7 +182,7 @@ class Lsm6dsoChip(SixAxis):
         self.page[address : address + len(data)] = data
 
     def _convert(self, name: str, half: _Half, at_ns: int) -> None:
-        """Return one sample of one half; the self-test adds to it, or subtracts from it (LSM-20)."""
+        """Write one sample of one half into the data registers, plus or minus the change by the self-test (LSM-20)."""
         rate_hz, page = 1e9 / half.grid.period_ns, self.page
         test = page[facts.CTRL5_C.address]
         if name == ACCELEROMETER:
@@ -199,8 +202,8 @@ class Lsm6dsoChip(SixAxis):
         self._put(half.first.address, self._marked(codes, half, at_ns) if name == GYROSCOPE else codes)
 
     def _marked(self, codes: list[int], half: _Half, at_ns: int) -> list[int]:
-        """Return the gyroscope's codes, the lowest bit of chosen axes being that of the first sample after a pulse
-        (LSM-49). A pulse is high: if the active level is low, the input is active all the time (DEC-75).
+        """Return the gyroscope's codes; the lowest bit of the selected axes marks the first sample after a pulse
+        (LSM-49). A pulse is high; if the active level is low, the input is always active (DEC-75).
         """
         control = self.page[facts.CTRL9_XL.address]
         if facts.EDGE_MODE.of(self.page[facts.CTRL6_C.address]) != LATCHED or facts.MARK_ACCEL.of(control):
@@ -215,8 +218,8 @@ class Lsm6dsoChip(SixAxis):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a byte with its value at the instant at which it is fetched; with BDU the two bytes of a number are of
-        one sample (LSM-13).
+        """Return a byte with its value at the instant at which it is fetched; with BDU the two bytes of a number belong
+        to one sample (LSM-13).
         """
         self.end_reset(at_ns)
         self._sync(at_ns)
@@ -248,7 +251,7 @@ class Lsm6dsoChip(SixAxis):
         self.page[facts.STATUS_REG.address] &= ~mask & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register with IF_INC, otherwise the same (LSM-12). After the end of a word follows its tag
+        """Return the next register with IF_INC, otherwise the same (LSM-12). The end of a word is followed by the tag
         (LSM-45).
         """
         if pointer == FIFO_OUT[-1] and facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]):

@@ -1,6 +1,6 @@
-"""MMC5983MA magnetometer behind its registers: MEMSIC data sheet Rev A (2019); MMC-01 ... MMC-20, DEC-210 to -213.
+"""MMC5983MA magnetometer with its registers: MEMSIC data sheet Rev A (2019); MMC-01 ... MMC-20, DEC-210 to -213.
 
-SET and RESET reverse the magnetisation of the elements: their response changes sign, the offset of the bridges does
+SET and RESET reverse the magnetisation of the elements: their response changes its sign, the offset of the bridges does
 not. Not modelled: interrupts, the three-wire SPI, magnetisation by strong fields.
 """
 
@@ -17,9 +17,9 @@ BANDWIDTHS_HZ = (100.0, 200.0, 400.0, 800.0)
 MEASURED_NS = (8_000_000, 4_000_000, 2_000_000, 500_000)  # MMC-13
 RATES_HZ = (0.0, 1.0, 10.0, 20.0, 50.0, 100.0, 200.0, 1000.0)  # MMC-16
 BRIDGE_GAUSS = (0.11, -0.07, 0.19)
-"""Outputs of the bridges in zero field (DEC-212), within what MMC-20 allows."""
+"""Outputs of the bridges in zero field, in gauss (DEC-212), within the limits of MMC-20."""
 EXTRA_GAUSS = 1.0
-"""Change of the readings by the extra current (DEC-213)."""
+"""Change of the readings by the extra current, in gauss (DEC-213)."""
 
 _STATUS, _CONTROL0, _CONTROL1 = facts.STATUS.address, facts.CONTROL_0.address, facts.CONTROL_1.address
 _CONTROL2, _CONTROL3 = facts.CONTROL_2.address, facts.CONTROL_3.address

@@ -2,8 +2,8 @@
 
 Facts: INV-*, DEC-250 to -254.
 
-Samples fall on the die's own grid from the moment at which it wakes. Not modelled: auxiliary bus, motion
-detection, the low-power cycle, standby of single axes, and the settling of the zero-rate level.
+Samples are on the die's own grid, which begins when it wakes up. Not modelled: auxiliary bus, motion detection, the
+low-power cycle, standby of single axes, and the settling of the zero-rate level.
 """
 
 from __future__ import annotations
@@ -30,17 +30,20 @@ ACCEL_FILTERS = (
     *((260.0, 0.0), (184.0, 0.002), (94.0, 0.003), (44.0, 0.0049), (21.0, 0.0085), (10.0, 0.0138), (5.0, 0.019)),
     (260.0, 0.0),
 )
-"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-12, DEC-252. A filter changes the noise, and delays motion only."""
+"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-12, DEC-252. A filter changes the noise; its only effect on motion is a
+delay.
+"""
 GYRO_FILTERS = (
     *((256.0, 0.00098), (188.0, 0.0019), (98.0, 0.0028), (42.0, 0.0048), (20.0, 0.0083), (10.0, 0.0134), (5.0, 0.0186)),
     (256.0, 0.00098),
 )
 CLOCK_INPUTS_HZ = {4: 32_000.0, 5: 19_200_000.0}
-"""The frequency at CLKIN at which 1 kHz is 1 kHz, by CLKSEL: with 32.768 kHz it is 1.024 kHz (INV-37)."""
+"""The frequency at CLKIN, by CLKSEL, with which the nominal 1 kHz is exact; with 32.768 kHz it is 1.024 kHz (INV-37).
+"""
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
 WORDS = Struct(">7h")
 TRIM_CODE = 17
-"""Trim code of every axis by default: the middle of the codes (DEC-253)."""
+"""Trim code of every axis by default: the middle of the range of codes (DEC-253)."""
 
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
@@ -79,8 +82,8 @@ class Mpu6050Chip(MpuFamily):
         )
 
     def own_period_ns(self, period_ns: float) -> int:
-        """Return the period as `SixAxis.own_period_ns`; by the clock at CLKIN if PWR_MGMT_1 selects it, 0 if there is
-        none (INV-37, DEC-254).
+        """Return the same period as `SixAxis.own_period_ns`, or that by the clock at CLKIN if PWR_MGMT_1 selects it; 0
+        if no clock is connected (INV-37, DEC-254).
         """
         source = facts.CLOCK.of(self.page[facts.PWR_MGMT_1.address])
         if source not in CLOCK_INPUTS_HZ:
@@ -104,17 +107,21 @@ class Mpu6050Chip(MpuFamily):
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
 
     def _accel_push(self) -> float:
-        """The change by the self-test in codes at 8 g (INV-46)."""
+        """Return the change by the self-test in codes at 8 g (INV-46)."""
         return 1392.64 * (0.92 / 0.34) ** ((self._trim_code - 1) / 30) if self._trim_code else 0.0
 
     def _gyro_push(self) -> float:
-        """The change by the self-test in codes at 250 dps: added to x and z, subtracted from y (INV-47)."""
+        """Return the change by the self-test in codes at 250 dps, which is added to x and z and subtracted from y
+        (INV-47).
+        """
         return 3275.0 * 1.046 ** (self._trim_code - 1) if self._trim_code else 0.0
 
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read a burst, which shows one instant: the data registers do not change until STOP (INV-30)."""
+        """Read a burst, whose bytes belong to one instant, because the data registers do not change until STOP
+        (INV-30).
+        """
         self.end_reset(at_ns)
         self._sync(at_ns)
         data = bytes(self.page[_DATA.start : _DATA.stop])
@@ -165,7 +172,7 @@ ACCELEROMETER_TOLERANCES = Tolerances(
     scale_slope_per_degc=typical(2e-4),
     thermometer_degc=typical(1.0),
 )
-"""The tolerances INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
+"""The tolerances INV-50 ... INV-55; apart from the cross-axis sensitivity, alignment is not specified."""
 
 
 _GYRO_SPAN_DEGC = 65.0  # from 25 degC to the far end of -40 ... 85 degC

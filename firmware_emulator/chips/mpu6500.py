@@ -1,7 +1,8 @@
 """MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4.
 
-Facts INV-70 ... INV-79, DEC-80 and -81. The die is awake after power-on; samples fall on its own grid from then on. Not
-modelled: the fifth slot of the auxiliary bus, motion detection, low-power cycle, the settling of the zero-rate level.
+Facts INV-70 ... INV-79, DEC-80 and -81. The die is awake after power-on; samples are on its own grid, which begins
+then. Not modelled: the fifth slot of the auxiliary bus, motion detection, low-power cycle, the settling of the
+zero-rate level.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ GYRO_FILTERS = (
     *((250.0, 0.00097), (184.0, 0.0029), (92.0, 0.0039), (41.0, 0.0059), (20.0, 0.0099), (10.0, 0.01785)),
     *((5.0, 0.03348), (3600.0, 0.00017)),
 )
-"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-73, INV-79. A filter changes the noise, and delays motion only."""
+"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-73, INV-79. A filter changes the noise; its only effect on motion is a
+delay.
+"""
 ACCEL_FILTERS = (
     *((460.0, 0.00194), (184.0, 0.0058), (92.0, 0.0078), (41.0, 0.0118), (20.0, 0.0198), (10.0, 0.0357)),
     *((5.0, 0.06696), (460.0, 0.00194)),
@@ -77,8 +80,8 @@ class Mpu6500Chip(MpuFamily):
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
 
     def _codes(self, sample: Triple, scale: float, finest: float, pushed: int) -> list[int]:
-        """Return three codes; bit 2 of `pushed` deflects x, by the factory's change at the smallest range (INV-75,
-        INV-78).
+        """Return three codes; bit 2 of `pushed` deflects x, by the change that was measured at the factory for the
+        smallest range (INV-75, INV-78).
         """
         push = 2620.0 * 1.01 ** (self._trim_code - 1) * scale / finest if self._trim_code else 0.0
         return [
@@ -87,7 +90,7 @@ class Mpu6500Chip(MpuFamily):
         ]
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read a burst, which shows one instant (INV-75)."""
+        """Read a burst; all its bytes belong to one instant (INV-75)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         return super().read(count, at_ns, byte_ns)
@@ -111,7 +114,7 @@ ACCELEROMETER_TOLERANCES = Tolerances(
     noise_bandwidth_hz=41.0,
     scale_slope_per_degc=typical(2.6e-4),
 )
-"""The tolerances INV-80 ... INV-84; alignment is not specified apart from the cross-axis sensitivity."""
+"""The tolerances INV-80 ... INV-84; apart from the cross-axis sensitivity, alignment is not specified."""
 
 
 _GYRO_SPAN_DEGC = 65.0  # from 25 degC to the far end of -40 ... 85 degC

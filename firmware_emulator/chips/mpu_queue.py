@@ -1,11 +1,11 @@
 """Common parts of the chips of the MPU family: one grid of samples, flags, a queue of bytes, the auxiliary bus' bypass.
 
-Facts INV-26, INV-27 and INV-98 (queue), INV-97 (bypass). A full queue loses its oldest bytes, one by one, so that a
-record may begin anywhere afterwards; an empty one repeats its last byte.
+Facts INV-26, INV-27 and INV-98 (queue), INV-97 (bypass). A full queue loses its oldest bytes, one by one, so that it
+may afterwards begin within a record; an empty queue repeats its last byte.
 
 The master of the auxiliary bus (MPU-6500, MPU-9250; INV-110 ... INV-116) reads and writes registers of the devices on
 that bus at each sample, by four slots, and stores the bytes that it read in EXT_SENS_DATA. Not modelled: the fifth
-slot, except for the delay that all others share; other masters; the time that transfers take.
+slot, except for the delay that the other slots share; other masters; the duration of transfers.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class AuxiliaryMaster:
 
     @staticmethod
     def recorded(page: bytearray, slots: int) -> bytes:
-        """Return the bytes that the slots whose bits are set in `slots` have read, for the queue."""
+        """Return the bytes for the queue that were read by the slots with a set bit in `slots`."""
         data, place = b"", EXTERNAL.start
         for slot in range(SLOTS):
             address, _, control = page[_FIRST + slot * _STEP : _FIRST + (slot + 1) * _STEP]
@@ -76,7 +76,7 @@ class AuxiliaryMaster:
 
 
 def delay_of(page: bytearray) -> int:
-    """Return the samples between two transfers of a slot whose delay is on, less one (INV-115)."""
+    """Return the number of samples between two transfers of a slot with delay, minus one (INV-115)."""
     return facts.MASTER_DELAY.of(page[_LAST])
 
 
@@ -87,8 +87,8 @@ def _read_device(device: Target, command: bytes, count: int, at_ns: int) -> byte
 
 
 def swapped(data: bytes, first_is_alone: int) -> bytes:
-    """Return the bytes with each pair swapped; the first is single if its pair began before it, and so may be the
-    last.
+    """Return the bytes with each pair swapped. With `first_is_alone`, the first byte is the end of a pair and stays;
+    the last one stays if its pair is incomplete.
     """
     turned = bytearray(data)
     for index in range(first_is_alone, len(data) - 1, 2):
@@ -107,7 +107,8 @@ PULSE_MARKS = (None, 0x42, 0x44, 0x46, 0x48, 0x3C, 0x3E, 0x40)
 ON, RESET = 0x40, 0x04
 MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
-"""The largest number of samples whose transfers on the auxiliary bus are carried out later, times the delay in samples.
+"""Limit of the number of past samples for which transfers on the auxiliary bus are carried out, in multiples of the
+delay in samples.
 """
 
 
@@ -139,7 +140,7 @@ class MpuFamily(SixAxis):
         super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
-        """Set its reset values, with an empty queue."""
+        """Set the reset values and empty the queue."""
         super().power_on(at_ns)
         self._queue.clear()
         self._last_byte = self._count = self._flags = 0
@@ -151,7 +152,7 @@ class MpuFamily(SixAxis):
         raise NotImplementedError
 
     def _sync(self, at_ns: int) -> None:
-        """Take in the samples up to `at_ns`: into the queue, and the latest one into the data registers."""
+        """Store the samples up to `at_ns` in the queue, and the latest one in the data registers."""
         latest = self._grid.latest(at_ns)
         if latest <= self._grid.index:
             return
@@ -196,9 +197,7 @@ class MpuFamily(SixAxis):
         return selected + self.auxiliary.recorded(self.page, slots) if slots else selected
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte; reading flags clears them, and both bytes of the count are latched by the high
-        one.
-        """
+        """Return a register's byte. Reading flags clears them; reading the high byte of the count latches both."""
         if address == INT_STATUS:
             flags, self._flags = self._flags, 0
             return flags
@@ -217,7 +216,7 @@ class MpuFamily(SixAxis):
         return self.page[address]
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register; that of the queue does not change."""
+        """Return the next register; the pointer stays at the register of the queue."""
         return pointer if pointer == FIFO else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:

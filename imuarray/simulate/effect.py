@@ -76,7 +76,7 @@ class Effect:
                     require(name, number, *allowed)
 
     def each_span(self) -> Iterator[tuple[float, float, float]]:
-        """Return run, beginning and end of each span."""
+        """Yield run, beginning and end of each span."""
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def active_axes(self) -> tuple[bool, ...]:

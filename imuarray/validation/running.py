@@ -61,7 +61,7 @@ class Workers(Protocol):
 
 @contextmanager
 def executor_of(text: str, workers: int) -> Iterator[Workers]:
-    """Return the executor of a name: "processes", with `workers` processes of one BLAS thread each, or a Dask
+    """Yield the executor of a name: "processes", with `workers` processes of one BLAS thread each, or a Dask
     scheduler's address, "tcp://host:port", with all its workers.
 
     A cluster's workers need this version of the package and the same folder under the same path; one thread each (`dask

@@ -479,7 +479,7 @@ def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
 
 
 def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
-    """Return the summary in words."""
+    """Yield the summary in words."""
     whole = replica.summary
     item, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
     yield (
