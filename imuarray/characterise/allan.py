@@ -117,7 +117,7 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
     ends = np.cumsum(sizes)
     longest = int(sizes.argmax())
     run = slice(int(ends[longest] - sizes[longest]), int(ends[longest]))
-    place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # number of values of its run in a running sum
+    place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # for each running sum, the number of values of its run
     place[1:] -= np.repeat(ends - sizes, sizes).astype(np.int32)
     used_factors = _factors(int(sizes.max()), None)
     moments = []

@@ -113,7 +113,7 @@ def interval(
     deviation: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64], confidence: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Ends of the interval of deviations by the chi-squared distribution (SP 1065, "Confidence intervals")."""
-    from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
+    from scipy.special import gammaincinv  # the inverse chi-squared distribution; scipy.stats is slow to import
 
     tail = (1 - confidence) / 2
     low = deviation * np.sqrt(freedom / (2 * gammaincinv(freedom / 2, 1 - tail)))

@@ -145,7 +145,7 @@ def _sums(factors: tuple[int, ...], rows: int) -> Sums:
             n = factors[j]
             lags, starts, gaps = _lags(m, n, rows)
             r = np.array([_cross(term, lags, m, n) for term in RANDOM])
-            weights = np.where(np.arange(kinds)[:, None] == 0, 1.0, gaps) * starts  # quantisation: at single lags only
+            weights = np.where(np.arange(kinds)[:, None] == 0, 1.0, gaps) * starts  # quantisation: single lags only
             scale = 4.0 * m**2 * n**2 * (rows + 1 - 2 * m) * (rows + 1 - 2 * n)
             products = (r * weights) @ r.T
             products[:, 0] = products[0]
@@ -526,7 +526,7 @@ def _assess(
     estimate: AllanEstimate, solution: AllanSolution, count: int, coefficients: tuple[NoiseTerm, ...]
 ) -> NoiseFit:
     """Return the fit with its tail probability and the verdict."""
-    from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
+    from scipy.special import gammaincc  # the chi-squared distribution; scipy.stats is slow to import
 
     freedom = len(estimate.factors) - count
     misfit = estimate.misfit(solution.theta)

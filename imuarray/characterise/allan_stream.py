@@ -92,7 +92,7 @@ def add_up(values: Values, reference: Any, total: float, out: Floats) -> None:
     """Write to `out` (b,) `total` plus the running sum of `values` (b,) less `reference`; ValueError if not finite."""
     with np.errstate(invalid="ignore", over="ignore"):
         if values.dtype.itemsize == 8 and isinstance(reference, np.integer) and _near(values, reference):
-            out[:] = (values - reference).view(np.int64)  # float64 would round before it subtracts
+            out[:] = (values - reference).view(np.int64)  # float64 would be rounded before the subtraction
         else:
             np.subtract(values, reference, out=out, dtype=np.float64)
         out[0] += total

@@ -75,7 +75,7 @@ class _Box:
 def find_bands(spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = ()) -> tuple[Band, ...]:
     """Return the wide lines in one column of a spectrum, strongest first, in addition to the known `narrow` ones."""
     density = np.array(spectrum.density[:, column])
-    density[-1] *= 2  # the bin at half the rate has no twin
+    density[-1] *= 2  # the bin at half the rate has no negative frequency
     last = len(density) - 1
     if last < 4 * WIDTHS[0] or not (density[_FIRST:] > 0).all():
         return ()

@@ -97,7 +97,7 @@ def _ratio_above(above: bytes, below: bytes, probability: float) -> Floats:
     """Return the read-only ratio (b,) that noise exceeds with `probability`; degrees of freedom `above` and `below`
     (b,) as bytes of float64. They are the same for all windows of one length.
     """
-    # Few pairs differ, and each takes long; complex numbers are sorted faster than columns.
+    # Few pairs are different, and each takes long to compute; complex numbers are sorted faster than columns.
     pairs, pair_of_bin = np.unique(np.frombuffer(above) + 1j * np.frombuffer(below), return_inverse=True)
     result = np.asarray(fdtri(pairs.real, pairs.imag, 1 - probability)[pair_of_bin.reshape(-1)])
     result.flags.writeable = False
@@ -110,7 +110,7 @@ def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
     last = len(power) - 1
     if last < 4 * FIRST_BIN or not (power[_LOWEST:] > 0).all():
         return NoiseFloor(np.zeros(0, np.intp), *[np.zeros(0)] * 3)
-    power[-1] *= 2  # the bin at half the rate has no twin
+    power[-1] *= 2  # the bin at half the rate has no negative frequency
     height = np.log(np.concatenate([power, power[-2:0:-1]]))  # ... and the bins above it mirror those below
     wide = np.arange(FIRST_BIN // 2, last + 1)
     trend = _smoothed(_joined_medians(height, wide, last), wide, last)
@@ -136,7 +136,7 @@ def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
     """Return at each bin the medians of the bins below and above it, interpolated over log frequency (b,)."""
     joined = np.empty(len(bins))
     for side, rows, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
-        if (side == side[0]).all():  # the windows above some bins are those below others
+        if (side == side[0]).all():  # the windows above some bins are also the windows below other bins
             medians = _median(height, np.arange(below[0], above[-1] + 1), side[:1])
             low, high = medians[below - below[0]], medians[above - below[0]]
         else:
@@ -342,8 +342,8 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
 
 
 def _mirrored(density: Floats) -> Floats:
-    """Return the density (m + 1,) and one bin beyond half the rate; the bin at half the rate twice, as it has no
-    twin.
+    """Return the density (m + 1,) and one bin beyond half the rate; the bin at half the rate is doubled, because it has
+    no negative frequency.
     """
     return np.concatenate([density[:-1], 2 * density[-1:], density[-2:-1]])
 

@@ -308,7 +308,7 @@ def find_interpolation(sensor: SensorLog) -> Interpolation | None:
         counts = np.asarray(sensor.counts[max(block.start - 2, 0) : block.stop])
         if len(counts) < 3:
             continue
-        steps = np.diff(counts.T.astype(np.int64, order="C"))  # axis by axis, along which numpy is faster
+        steps = np.diff(counts.T.astype(np.int64, order="C"))  # contiguous axes, along which numpy is faster
         bends = np.abs(np.diff(steps)).max(axis=0)
         off_line = bends > ROUNDED
         is_held = (bends == 0) & ~steps[:, 1:].any(axis=0)

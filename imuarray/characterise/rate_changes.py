@@ -94,7 +94,8 @@ def _runs(levels: Floats) -> list[int]:
     """Return the first pieces of runs of equal levels (n, 2), the logarithms of intervals."""
     begins, least = [0], log(CHANGED)
     rows = levels.tolist()
-    intervals: tuple[list[float], list[float]] = [], []  # of the run, in order, without its first piece, of both rates
+    # Median and mean intervals of the run's pieces except the first, sorted.
+    intervals: tuple[list[float], list[float]] = [], []
     for piece in range(2, len(rows) - 1):
         for column, ordered in enumerate(intervals):
             if piece - 1 > begins[-1]:

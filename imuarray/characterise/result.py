@@ -102,7 +102,7 @@ def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | Non
 def _fit_table(fit: NoiseFit) -> dict[str, Any]:
     table = asdict(fit)
     terms = table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
-    for name, item in terms.items():  # coloured noise looks like flicker noise or a random walk, but is neither
+    for name, item in terms.items():  # coloured noise may be mistaken for flicker noise or a random walk
         item["doubtful"] = bool(fit.verdict) and name != "white"
     return table
 

@@ -247,7 +247,9 @@ def _hann(rows: int) -> Floats:
 
 @lru_cache(maxsize=16)
 def _sides(bins: int) -> Floats:
-    """Return the factors of a one-sided density: 2, but 1 at 0 and at half the rate, which have no negative twin."""
+    """Return the factors of a one-sided density: 2, but 1 at 0 and at half the rate, which have no negative
+    frequency.
+    """
     return np.array([1.0, *[2.0] * (bins - 2), 1.0])
 
 

@@ -171,7 +171,7 @@ class IntervalTally:
         self._products[column] += len(finite), finite.sum()
 
     def _binned(self, lengths_ns: Times | Floats) -> Times:
-        whole = lengths_ns.astype(np.int64)  # which are divided several times as fast, and they are whole
+        whole = lengths_ns.astype(np.int64)  # exact, and the division of integers is several times as fast
         return np.bincount(np.minimum(whole // self._bin_ns, _BINS), minlength=_BINS + 1)
 
     def _alternation(self, variance: float) -> float:
@@ -330,7 +330,7 @@ class _Column:
         first, last = (int(np.searchsorted(self._ends, at, "right")) for at in (start, stop - 1))
         offsets = [self.runs[at].start - (int(self._ends[at - 1]) if at else 0) for at in (first, last)]
         begin, end = start + offsets[0], stop + offsets[1]
-        counts = np.asarray(self.sensor.counts[begin:end])[:, self.column]  # of rows that are kept in memory
+        counts = np.asarray(self.sensor.counts[begin:end])[:, self.column]  # the rows are kept in memory
         if first == last:
             return counts
         is_used = np.zeros(end - begin, bool)
