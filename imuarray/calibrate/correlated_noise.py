@@ -102,7 +102,7 @@ def regress(sums: Floats, log_determinant: Floats, rows: int) -> Regression:
     coefficients = np.einsum("...ij,...j->...i", inverse, cross)
     freedom = rows - inner.shape[-1]
     remaining = sums[..., 0, 0] - np.einsum("...i,...i->...", coefficients, cross)
-    # A series that is exactly a combination of its regressors leaves nothing.
+    # The residual of a series that is exactly a combination of its regressors is zero.
     remaining = np.maximum(remaining, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300))
     variance = remaining / freedom
     return Regression(

@@ -263,7 +263,7 @@ class _PooledSquares:
 
     def add(self, part: SegmentReadings) -> None:
         """Add the readings of a block; blocks end at the end of a segment."""
-        first_rows = np.flatnonzero(np.diff(part.segment, prepend=-1))  # they are in order
+        first_rows = np.flatnonzero(np.diff(part.segment, prepend=-1))  # segments are in order
         number = np.diff(first_rows, append=len(part.segment))
         means = np.add.reduceat(part.counts, first_rows, axis=0) / number[:, None]
         squares = np.add.reduceat((part.counts - np.repeat(means, number, axis=0)) ** 2, first_rows, axis=0)

@@ -239,7 +239,7 @@ def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> R
             f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
         )
     mean, std = windows_of(sensors, begin, count, width_ns)
-    # Most logs contain long rests: the quietest quarter of the windows shows the noise at rest.
+    # Most logs contain long rests: the noise at rest is estimated from the quietest quarter of the windows.
     finite = np.isfinite(std)
     still = finite & (std <= 2.5 * np.quantile(std[finite], 0.25)) if finite.any() else finite
     gyroscopes = _rows_of(log, "angular_rate", only)
@@ -341,7 +341,7 @@ def windows_of(
             turn = sensor.orientation / sensor.sensitivity
             if not add_windows(part, turn, (rows, figures), (begin, width_ns), flags):
                 _add_windows(part, turn, (rows, figures), (begin, width_ns), flags)
-        spreads[rows < 2] = np.inf  # no scatter is known without readings of every sensor
+        spreads[rows < 2] = np.inf  # the scatter is not known without readings of every sensor
         may_spike = rows >= _SPIKED_ROWS
         low, high, middle = lowest[may_spike], highest[may_spike], (sums[may_spike].T / rows[may_spike]).T
         furthest = np.where(high - middle > middle - low, high, low)

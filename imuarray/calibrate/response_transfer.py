@@ -37,8 +37,8 @@ from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 WINDOW_S = 0.1
-"""Length in s of the windows of which the means are compared: short compared with turns by hand, long compared with the
-times between the readings of different sensors.
+"""Length in s of the compared windows: short compared with turns by hand, long compared with the times between the
+readings of different sensors.
 """
 
 _CHUNK = 4096
@@ -163,7 +163,7 @@ def _turned(
 
 def _is_impossible(change: Floats, prior: Floats) -> bool:
     """Return whether a change (9,) of a response is improbable under its covariance (9, 9)."""
-    from scipy.special import gammaincc  # the chi-squared distribution without the weight of scipy.stats
+    from scipy.special import gammaincc  # the chi-squared distribution; scipy.stats is slow to import
 
     moved = float(change @ np.linalg.solve(prior, change))
     return bool(gammaincc(4.5, moved / 2) < _IMPOSSIBLE)  # nine degrees of freedom

@@ -152,7 +152,7 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> TemperatureSe
     `/reference`, the chip's own, or another chip's (those with a zero first); None if there is none.
     """
     for barometer in log.of("pressure"):
-        with suppress(CalibrationError, LogError):  # for example imported without a temperature
+        with suppress(CalibrationError, LogError):  # for example if it was imported without a temperature
             return _read("barometer", barometer.time, barometer.compensated("temperature"), 0.0, 1.0, width_s)
     track = log.reference
     if track is not None and track.temperature is not None:

@@ -289,7 +289,7 @@ def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats,
             means[place, index], scatters[place, index], rows[place, index] = _middle(sensor, start_ns, width_ns)
     sound = np.flatnonzero(np.isfinite(means).all(axis=(0, 2)))
     means, scatters, rows = means[:, sound], scatters[:, sound], rows[:, sound]
-    # The calmest tenth of the stretches shows the noise; additional scatter of the others is motion.
+    # The noise is estimated from the calmest tenth of the stretches; additional scatter of the others is motion.
     noise = np.quantile(scatters, 0.1, axis=1, keepdims=True) if len(sound) else scatters
     variances = _PARABOLA * noise / rows if len(sound) else scatters
     counts = np.array([sensor.sensitivity for sensor in sensors_of_log])[:, None, None]

@@ -227,7 +227,7 @@ def _fit(
         if np.abs(step).max() < 1e-7 * np.abs(nominal).max():
             break
     chi_squared = float(missed @ weight @ missed)
-    freedom = 2 * len(turns) - float(np.trace(posterior @ information))  # the prior takes no degrees of freedom
+    freedom = 2 * len(turns) - float(np.trace(posterior @ information))  # the prior has no degrees of freedom
     excess = chi_squared / freedom if beyond_noise(chi_squared, freedom) else 1.0
     chances, shifts = _shifts(missed, weight - weight @ slopes @ posterior @ slopes.T @ weight, chi_squared, freedom)
     response = np.asarray(np.linalg.inv(inverse), float) * SI_PER_UNIT[sensor.unit]
