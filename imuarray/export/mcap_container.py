@@ -140,7 +140,7 @@ class Container:
         self._first_ns = min(self._first_ns, first_ns) if self._chunks else first_ns
         self._last_ns = max(self._last_ns, last_ns)
         self._chunks += 1
-        records.ChunkIndex(  # kept as the bytes of the summary: a tenth of the memory of the object
+        records.ChunkIndex(  # stored as the bytes of the summary, in a tenth of the memory of the object
             chunk_length=length,
             chunk_start_offset=start,
             compression=_COMPRESSION,

@@ -353,7 +353,7 @@ def _filled(
     line = b"".join(part if isinstance(part, bytes) else texts_by_form[part][0].tobytes() for part in form)
     position = _head_bytes()
     messages = np.empty((len(time_ns), position + len(line)), np.uint8)
-    messages[:, position:] = np.frombuffer(line, np.uint8)  # the first message, over which differences are written
+    messages[:, position:] = np.frombuffer(line, np.uint8)  # the first message, on which the differences are written
     for part in form:
         width = len(part) if isinstance(part, bytes) else texts_by_form[part].shape[1]
         if not isinstance(part, bytes) and texts_by_form[part].strides[0]:
