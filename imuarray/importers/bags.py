@@ -72,7 +72,7 @@ class BagRows:
             return call()
         except SourceError:
             raise
-        except Exception as error:  # rosbags, mcap, sqlite and zstd have no common one
+        except Exception as error:  # rosbags, mcap, sqlite and zstd have no common exception
             raise SourceError(f"{self._path}: damaged, or not a bag: {printable(str(error))[:200]}") from None
 
     def names(self) -> Mapping[str, Sequence[str]]:

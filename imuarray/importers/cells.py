@@ -205,7 +205,7 @@ class TextTable:
                 self.left_out["header"] += 1
                 continue
             if kinds and self.header and len(row) < self.width:
-                # Readings of fewer values than the header has names; those of one kind have the same number.
+                # Readings may have fewer values than the header has names, but the same number for each kind.
                 width_of_kind = width_of_kind or len(row)
                 row = [*row, *[""] * (self.width - len(row))] if len(row) == width_of_kind else row
             if not self.width:

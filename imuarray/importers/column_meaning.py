@@ -269,7 +269,7 @@ def _triads(
                     continue
                 fourth, fifth = (f"{name[:place]}{letter}{name[place + 1 :]}" for letter in (_FOURTH[axes], "4"))
                 if fourth in names and not np.isfinite(columns[names.index(fourth)]).any():
-                    fourth = ""  # a column that rows of other kinds need
+                    fourth = ""  # this column belongs to rows of other kinds
                 is_time = _FOURTH[axes] == "0" and fourth in names and increases(columns[names.index(fourth)])
                 if fourth in names and fifth not in names and not is_time:
                     continue  # four numbers are a quaternion, motors or channels

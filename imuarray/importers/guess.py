@@ -297,7 +297,7 @@ def _correct_scale(proposal: Proposal, factor: float) -> bool:
         nearest = min([*SENSITIVITIES["angular_rate"], *units], key=lambda scale: abs(ln(scale / sensitivity)))
         if nearest == COUNTS_OF_GYROSCOPE:
             return False
-        if nearest in units:  # whole numbers of a small unit
+        if nearest in units:  # the values are whole numbers in a small unit
             item.leave_out("range", "sensitivity")
             item.replace("unit", f'unit = "{units[nearest]}"   {_BY_GRAVITY}')
             return True

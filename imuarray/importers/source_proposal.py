@@ -414,7 +414,7 @@ def _numbered_kinds(
 def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Sequence[Sequence[str]]) -> None:
     """Propose the sensors of a kind of rows with named columns after that of the kind."""
     layout = proposal.layout
-    named = [name or f"#{number}" for number, name in enumerate(names)]  # values without a label, as stamps are
+    named = [name or f"#{number}" for number, name in enumerate(names)]  # for example time stamps have no label
     places = layout.kind_column if isinstance(layout.kind_column, list) else [0]
     of_kind = (row for row in rows if len(row) > len(names) and " ".join(row[at].strip() for at in places) == kind)
     cells = columns_of([row[1 : len(names) + 1] for row in of_kind], layout)
