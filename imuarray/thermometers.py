@@ -18,7 +18,7 @@ class ChipThermometer(NamedTuple):
 THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
     {
         "bma180": ChipThermometer(24.0, 2.0),  # BMA-63
-        "l3g4200d": ChipThermometer(0.0, -1.0),  # falls by a count per degree, and has no zero: L3G-60
+        "l3g4200d": ChipThermometer(0.0, -1.0),  # one count less per degree, and no known zero: L3G-60
         "mpu6050": ChipThermometer(35.0 + 521 / 340, 340.0, 16),  # INV-42
         "mpu6500": ChipThermometer(21.0, 333.87, 16),  # INV-76
         "mpu9250": ChipThermometer(21.0, 333.87, 16),
