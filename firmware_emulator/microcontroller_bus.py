@@ -21,18 +21,18 @@ FIRST_SELECT = 0x80
 """Address of chip select 0."""
 SELECTS = 8
 DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
-"""Results of a transaction: done, no acknowledge, bus held, refused."""
+"""Result codes of a transaction: done, no acknowledge, bus held, refused."""
 SPI_PATH = "/dev/spidev0."
-"""Chip select N of controller 0 in the array is chip select N of the microcontroller."""
+"""Prefix of the bus names of controller 0: chip select N of this controller is chip select N of the microcontroller."""
 SLOWEST_HZ = 1_000_000
-"""The clock of a chip select that was not configured."""
+"""The clock in Hz of a chip select that was not configured."""
 
 
 class Transfers(Protocol):
-    """The buses of a microcontroller, as `MicrocontrollerBus` has them."""
+    """The buses of a microcontroller; `MicrocontrollerBus` implements them."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """One transaction; OSError as the emulated wire gives it."""
+        """Carry out one transaction; OSError like that of the emulated wire."""
 
     def set_select(self, select: int, mode: int, clock_hz: int) -> None:
         """Set mode and clock of a chip select; ValueError if no controller supports them. It is not called without
@@ -44,14 +44,14 @@ class SelectPort(Protocol):
     """A chip select with its clock setting."""
 
     def exchange(self, sent: bytes) -> bytes:
-        """Send bytes; return as many received bytes."""
+        """Send bytes; return the same number of received bytes."""
 
 
 class Buses(Protocol):
     """The buses and chip selects of the emulated array."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """One I2C transaction; OSError as the emulated wire gives it."""
+        """Carry out one I2C transaction; OSError like that of the emulated wire."""
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> Any:
         """Return the chip select with this name; OSError if it has no sensor."""
@@ -60,7 +60,7 @@ class Buses(Protocol):
 class MicrocontrollerBus:
     """The buses of a microcontroller that is connected to `array`.
 
-    An SPI transaction without a chip reads FF, as an open line does.
+    An SPI transaction without a chip reads FF, like an open line.
     """
 
     def __init__(self, array: Buses) -> None:
@@ -79,7 +79,7 @@ class MicrocontrollerBus:
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """Carry out one transaction; on SPI return the bytes that are received after `write`, while zeros are sent.
 
-        OSError as the emulated wire gives it; ValueError for a chip select that does not exist.
+        OSError like that of the emulated wire; ValueError for a chip select that does not exist.
         """
         if address < FIRST_SELECT:
             return self._array.transfer(address, write, read)

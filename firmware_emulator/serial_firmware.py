@@ -1,8 +1,8 @@
-"""The microcontroller's loop, without I/O: it takes commands and works through the lists, frame after frame.
+"""The microcontroller's loop, without I/O: it accepts commands and executes the lists, frame after frame.
 
-Like the paper's firmware (section 3.2) it records a time and reads all sensors, again and again; the host determines
-which, and how. Commands are processed between two frames. A command that cannot be carried out is answered with a
-result that states so.
+Like the paper's firmware (section 3.2) it repeatedly records a time and reads all sensors; the host determines which
+sensors and how. Commands are processed between two frames. The answer to a command that cannot be carried out contains
+an error result.
 
 The framing of the link is written from the description in `imuarray.bus.serial_link` and shares no code with it, so
 that a mistake in one of them is detected.
@@ -21,13 +21,13 @@ from firmware_emulator.microcontroller_bus import DONE, FIRST_SELECT, HELD, NOBO
 
 VERSION = 1
 LONGEST = 1024
-"""Bytes of payload."""
+"""Maximum number of bytes of payload."""
 HEADER = 11
 FIRST, SECOND = 0xA5, 0x5A
 
 
 class Command(NamedTuple):
-    """A frame of the host; `raw` is all of it."""
+    """A frame from the host; `raw` is the whole frame."""
 
     kind: int
     sequence: int
@@ -48,7 +48,7 @@ class Receiver:
             yield from self._complete()
 
     def _complete(self) -> Iterator[Command]:
-        """Yield frames at the front; bytes that can't begin a frame are dropped."""
+        """Yield frames at the front; bytes that cannot begin a frame are dropped."""
         while self._frame and (size := self._size()) <= len(self._frame):
             raw = bytes(self._frame[:size])
             if size and zlib.crc32(raw[2:-4]) == int.from_bytes(raw[-4:], "little"):
@@ -58,7 +58,9 @@ class Receiver:
                 del self._frame[0]
 
     def _size(self) -> int:
-        """Return the length of the frame as far as it is known; 0 if the bytes are no frame."""
+        """Return the length of the frame, or its smallest possible length if it is not known yet; 0 if the bytes are
+        not a frame.
+        """
         have = self._frame
         if have[0] != FIRST or (len(have) > 1 and have[1] != SECOND):
             return 0
@@ -69,7 +71,7 @@ class Receiver:
 
 
 def frame(kind: int, sequence: int, time_us: int, payload: bytes) -> bytes:
-    """Return the bytes to send."""
+    """Return the bytes of a frame with this content."""
     body = struct.pack("<HBHI", len(payload), kind, sequence & 0xFFFF, time_us & 0xFFFFFFFF) + payload
     return bytes([FIRST, SECOND]) + body + struct.pack("<I", zlib.crc32(body))
 
@@ -79,11 +81,13 @@ LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
 LISTS = 128
 REQUEST_BYTES = 1536
-"""The size that fits into 2.5 KiB of memory, which is all that the paper's microcontroller has, with the other data."""
+"""Maximum memory for requests, in bytes: it fits, together with the other data, into the 2.5 KiB of the paper's
+microcontroller.
+"""
 
 
 COUNTED = 0x80
-"""Bit of the bytes to write that marks a counted request."""
+"""Bit in the field "bytes to write" that marks a counted request."""
 CAN_COUNT = 0x04
 
 
@@ -96,7 +100,7 @@ class FirmwareRequest(NamedTuple):
     rule: bytes = b""
 
     def bytes_of(self, answer: bytes) -> int:
-        """Return how many bytes are read after this answer."""
+        """Return the number of bytes that are read after this answer."""
         if not self.rule:
             return self.read
         offset, order, mask, packet = struct.unpack("<BBHB", self.rule)
@@ -116,9 +120,9 @@ class FirmwarePollList:
 
 
 class Firmware:
-    """One microcontroller on `bus`. Its counter starts at `counter_us` and is fast by `drift` (1e-4: by 100 parts in a
-    million); `clock` is true time. With `selects` chip selects it reports SPI; otherwise it answers like earlier
-    firmware without SPI.
+    """One microcontroller on `bus`. Its counter starts at `counter_us` and is fast by `drift` (1e-4: by 100 ppm);
+    `clock` is true time. With `selects` chip selects it reports SPI; otherwise it answers like earlier firmware without
+    SPI.
     """
 
     def __init__(
@@ -146,7 +150,7 @@ class Firmware:
 
     @property
     def due_ns(self) -> int | None:
-        """Return when the next frame begins, on the true clock; None while none is required."""
+        """Return the time on the true clock at which the next frame begins; None while no frame is required."""
         return self._begun_ns + round(self._number * self._period_ns) if self._period_ns else None
 
     def feed(self, data: bytes) -> bytes:
@@ -154,8 +158,8 @@ class Firmware:
         return b"".join(self._answer(command) for command in self._receiver.feed(data))
 
     def tick(self) -> list[bytes]:
-        """Begin the next frame if it is due; return the bytes to send, list by list. A frame that would begin a whole
-        period late is omitted.
+        """Begin the next frame if it is due; return the bytes to send, list by list. A frame that would begin late by a
+        whole period is omitted.
         """
         if self.due_ns is None or self.due_ns > self.clock.now_ns():
             return []
@@ -265,8 +269,8 @@ class Firmware:
 
 
 def requests_in(body: bytes, selects: int) -> list[FirmwareRequest] | None:
-    """Return the requests of a LIST; None if they don't fill it exactly or no bus can carry them, of I2C and of SPI
-    with so many chip selects.
+    """Return the requests of a LIST; None if they do not fill it exactly, or if a request fits neither I2C nor SPI with
+    this number of chip selects.
     """
     requests: list[FirmwareRequest] = []
     while body:
@@ -284,5 +288,5 @@ def requests_in(body: bytes, selects: int) -> list[FirmwareRequest] | None:
 
 
 def size_of(requests: list[FirmwareRequest]) -> int:
-    """Return the bytes that they occupy in memory."""
+    """Return the number of bytes that the requests occupy in memory."""
     return sum(3 + len(request.rule) + len(request.write) for request in requests)

@@ -4,11 +4,11 @@ USB/IP has neither passwords nor encryption: any program that reaches the port c
 clients, so that two requests never use the wire at the same time.
 
 `TinyUsb` is an adapter that Linux drives with its own module i2c-tiny-usb. The commands are those of
-drivers/i2c/busses/i2c-tiny-usb.c; where that file leaves something open, the device behaves as the adapter's published
+drivers/i2c/busses/i2c-tiny-usb.c; behaviour that this file does not determine is that of the adapter's published
 firmware (Till Harbaum, 2006). Descriptors: USB 2.0, 9.6. Decisions of our own:
 
 * A data byte that is not acknowledged gives the same status as an address that is not acknowledged. The firmware does
-  not report it, and Linux would regard the write as done.
+  not report it, and Linux would consider the write successful.
 * BEGIN on a bus that was never released sends the missing STOP first.
 * The delay that Linux sets (10 us, about 50 kHz on the real adapter) is stored but has no effect; the wire's bit rate
   applies.
@@ -31,7 +31,7 @@ ECHO, GET_FUNCTIONALITY, SET_DELAY, GET_STATUS, I2C_IO = 0, 1, 2, 3, 4
 BEGIN, END = 1, 2
 COMMANDS_OF_IO = (I2C_IO, I2C_IO | BEGIN, I2C_IO | END, I2C_IO | BEGIN | END)
 READ = 0x0001
-"""I2C_M_RD; the other message flags are ignored, none of them is advertised."""
+"""I2C_M_RD; the other message flags are ignored, because the device does not advertise them."""
 IDLE, ACKNOWLEDGED, NOT_ACKNOWLEDGED = 0, 1, 2
 FUNCTIONALITY = 0x0EFF0009
 """I2C_FUNC_I2C | I2C_FUNC_SMBUS_EMUL."""
@@ -61,11 +61,11 @@ class TinyUsb:
         self._begun_ns = self._begun_clocks = self._messages = 0
 
     def control(self, setup: Setup, data: bytes) -> bytes | None:
-        """One control transfer; None stalls (see `UsbDevice.control`)."""
+        """Carry out one control transfer; None stalls (see `UsbDevice.control`)."""
         kind = setup.request_type & KIND
         if kind == STANDARD:
             return self._standard(setup)
-        # Linux sends its commands as vendor requests, programs from the adapter's own distribution as class requests.
+        # Linux sends commands as vendor requests, programs of the adapter's own distribution as class requests.
         return self._adapter(setup, data) if kind in (CLASS, VENDOR) else None
 
     def reset(self) -> None:
@@ -74,8 +74,8 @@ class TinyUsb:
         self.status, self.configuration = IDLE, 0
 
     def _standard(self, setup: Setup) -> bytes | None:
-        """Answer a standard request (USB 2.0, table 9-3): neither remote wake-up nor a halted endpoint exists, so that
-        no feature can be set.
+        """Answer a standard request (USB 2.0, table 9-3): remote wake-up and halted endpoints do not exist, so no
+        feature can be set.
         """
         match setup.request_type >> 7, setup.request:
             case 1, 0 | 10:  # GET_STATUS, GET_INTERFACE
@@ -117,8 +117,8 @@ class TinyUsb:
         return bytes([self.status]) if setup.request == GET_STATUS else None
 
     def _message(self, setup: Setup, data: bytes) -> bytes | None:
-        """Transfer one I2C message. The host reads the status afterwards: without acknowledge, it reads zeros (the
-        firmware).
+        """Transfer one I2C message. The host reads the status afterwards; without an acknowledge it reads zeros as
+        data, as with the firmware.
         """
         if setup.request & BEGIN:
             self._finish()
@@ -145,8 +145,7 @@ class TinyUsb:
         self._messages += 1
 
     def _finish(self) -> None:
-        """Send a STOP, and wait until a real bus would be free: the next transaction must not begin before this one is
-        over.
+        """Send a STOP, and wait until a real bus would be free, because the next transaction must not begin earlier.
 
         START or repeated START takes less than one clock, STOP and the pause after it less than two (BUS-06).
         """
@@ -167,7 +166,7 @@ def string_descriptor(text: str) -> bytes:
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 3240
 MAX_CONNECTIONS = 16
 PATIENCE_S = 10.0
-"""Time in which a client must import a device, or receive what it requested."""
+"""Time in s within which a client must import a device or receive the data that it requested."""
 CHUNK = 65536
 
 
@@ -281,7 +280,7 @@ class UsbipServer:
             self._drop(client, reason or (f"detached {now.busid}" if now else ""))
 
     def _drop(self, client: Client, reason: str) -> None:
-        """Close the connection; a reason, if there is one, is logged."""
+        """Close the connection, and log the reason if there is one."""
         self._selector.unregister(client.connection)
         self._clients.remove(client)
         client.conversation.close()

@@ -34,13 +34,13 @@ from firmware_emulator.world import (
 
 UPWARDS: Triple = (0.0, 0.0, 1.0)
 RAMP_S = 1.0
-"""Duration of the beginning and the end of a motion."""
+"""Duration in s of the beginning and of the end of a motion."""
 DRAUGHT_PERIODS_S = (23.0, 61.0, 173.0, 431.0)
 """Periods of the temperature swings of a draught; each swing has its own phase."""
 
 
 def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
-    """Return a record of a table's entries, lists as tuples; ValueError for an unknown entry."""
+    """Return an object of class `kind` with a table's entries, lists as tuples; ValueError for an unknown entry."""
     names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := sorted(set(table) - names):
         raise ValueError(f"{unknown[0]}: no entry of a {_words_of(kind)}; allowed are {', '.join(sorted(names))}")
@@ -57,7 +57,7 @@ def _words_of(kind: Callable[..., Any]) -> str:
 
 @dataclass(frozen=True)
 class RestPose:
-    """The box at rest for `hold_s`; `up` is the unit vector upwards, box frame."""
+    """The box at rest for `hold_s`; `up` is the upward unit vector in the box frame."""
 
     up: Triple
     hold_s: float
@@ -65,7 +65,7 @@ class RestPose:
 
 @dataclass(frozen=True)
 class TemperatureStretch:
-    """`seconds` during which the temperature goes to `towards_degc` with a time constant."""
+    """A stretch of `seconds` in which the temperature approaches `towards_degc` with a time constant."""
 
     seconds: float
     towards_degc: float
@@ -75,8 +75,8 @@ class TemperatureStretch:
 @dataclass(frozen=True)
 class Rocking:
     """A motion: from `start_s` to `end_s` the box is rocked by `angle_rad` about `axis`, and shaken along it by
-    `peak_g`, both at `rock_hz` and `shake_hz`, within an envelope that rises and falls as 1 - cos within `RAMP_S`.
-    Gravity is followed.
+    `peak_g`, at `rock_hz` and `shake_hz`, within an envelope that rises and falls as 1 - cos within `RAMP_S`. The
+    direction of gravity in the box follows the rotation.
     """
 
     start_s: float
@@ -113,8 +113,8 @@ class Rocking:
 
 @dataclass(frozen=True)
 class TableVibration:
-    """The vibration of a table by a fridge or a fan: a line of `hz`, `peak_g` along and `peak_dps` about each axis as
-    `direction` says. It runs for `share` of every `cycle_s`.
+    """The vibration of a table by a fridge or a fan: a line at `hz` with `peak_g` along and `peak_dps` about each axis,
+    multiplied by `direction`. It runs for `share` of every `cycle_s`.
     """
 
     hz: float
@@ -125,7 +125,7 @@ class TableVibration:
     share: float = 1.0
 
     def is_on(self, at_s: float) -> bool:
-        """Return whether it runs."""
+        """Return whether the vibration is on."""
         return not self.cycle_s or at_s % self.cycle_s < self.share * self.cycle_s
 
 
@@ -139,7 +139,7 @@ class Room:
     drift_degc_per_s: float = 0.0
     draught_degc: float = 0.0
     vibrations: tuple[TableVibration, ...] = ()
-    """Four at most."""
+    """At most four."""
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Self:
@@ -150,9 +150,9 @@ class Room:
 
 @dataclass(frozen=True)
 class Recorder:
-    """A share of transactions waits `mean_ms` (exponentially); `stalls_per_min` times a minute nothing is read for
-    `stall_s`. The flags are whether it reads the chips' thermometers, and whether it stores the commanded motion
-    (`reference`).
+    """A recording program. A share of its transactions waits, exponentially distributed with mean `mean_ms`;
+    `stalls_per_min` times per minute it reads nothing for `stall_s`. The flags state whether it reads the chips'
+    thermometers, and whether it stores the commanded motion (`reference`).
     """
 
     rate_hz: float
@@ -164,7 +164,7 @@ class Recorder:
     reference: bool = True
 
     def waits_ns(self, seed: int, run: int, transactions_per_s: float) -> Callable[[], int]:
-        """Return a wait that is drawn for each transaction."""
+        """Return a function that draws the wait before each transaction."""
         random = stream(seed, f"recorder, run {run}")
         stall = self.stalls_per_min / 60.0 / transactions_per_s
 
@@ -179,7 +179,9 @@ class Recorder:
 
 @dataclass(frozen=True)
 class Course:
-    """A world: the box turns from pose to pose in `turn_s` each, is heated and moved, in a room of that seed."""
+    """A world in which the box turns from pose to pose, in `turn_s` each, is heated and moved, in a room whose random
+    phases follow from the seed.
+    """
 
     poses: tuple[RestPose, ...]
     turn_s: float
@@ -220,7 +222,7 @@ class Course:
         )
 
     def temperature_degc(self, at_s: float) -> float:
-        """Return the temperature of the box: the course of heating on top of the room's."""
+        """Return the temperature of the box: the heating plus the variation of the room."""
         room = self.room
         degc = room.drift_degc_per_s * at_s
         if room.draught_degc:
@@ -298,8 +300,8 @@ class ReferenceWorld:
 
 
 def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:
-    """One log: its `name`, `seconds`, `poses`, `turn_s`, `stretches`, `motions` and `phases` (start_s, end_s, name,
-    up), as noted by a person; `reference_hz` as in `BenchExperiment`.
+    """Return one log from its `name`, `seconds`, `poses`, `turn_s`, `stretches`, `motions` and `phases` (start_s,
+    end_s, name, up), as a person notes them; `reference_hz` as in `BenchExperiment`.
     """
     phases = [
         WorldPhase(round(start_s * 1e9), round(end_s * 1e9), str(name), str(up))
@@ -340,5 +342,5 @@ def turn_to(start: Triple, end: Triple) -> tuple[Triple, float]:
 
 
 def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[BenchExperiment, ...]:
-    """Return all logs of a case, in this order; the room's phases differ between them."""
+    """Return all logs of a case, in this order; the random phases of the room differ between them."""
     return tuple(session(entry, room, seed * 1000 + run) for run, entry in enumerate(table))

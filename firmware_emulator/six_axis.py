@@ -1,4 +1,4 @@
-"""A die that is two sensors of the array in one place, an accelerometer and a gyroscope."""
+"""A die with two sensors of the array in one place, an accelerometer and a gyroscope."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
 
 @dataclass
 class SampleGrid:
-    """The grid on which samples fall: at `start_ns` + n * `period_ns` for n from 1 on; `index` counts the latest from
-    0.
+    """The grid of the samples: sample n = 1, 2, ... is at `start_ns` + n * `period_ns`; `index` is the number of the
+    latest one, counted from 0.
     """
 
     start_ns: int = NEVER_NS
@@ -41,7 +41,7 @@ class SampleGrid:
         return self.time_ns(latest)
 
     def set(self, at_ns: int, period_ns: int) -> bool:
-        """Set the period, 0 for off; samples restart if it changes or was off. Return True if it was off."""
+        """Set the period, 0 for off. Samples restart if the period changes or was 0. Return True if it was 0."""
         if not period_ns:
             self.start_ns = NEVER_NS
             return False
@@ -53,9 +53,9 @@ class SampleGrid:
 
 
 class SixAxis(Chip):
-    """Registers with two elements behind them. It is built with the `elements` of one half or of both, by half, and
-    takes another one by `take_element`; the converter of a half without element has an input of zero. `identity` is the
-    content of WHO_AM_I (None: that of the part).
+    """Registers with two elements behind them. It is created with the `elements` of one half or of both, by half;
+    `take_element` adds the other one. The converter of a half without an element has an input of zero. `identity` is
+    the content of WHO_AM_I (None: that of the part).
     """
 
     table: ClassVar[ModuleType]
@@ -73,9 +73,9 @@ class SixAxis(Chip):
         rate_error: float = 0.0,
         pulse_hz: float = 0.0,
     ) -> None:
-        """`rate_error`: the relative rate error of the die's oscillator. `pulse_hz`: frequency of the pulses on its
-        synchronisation input (0: none are connected), short ones at multiples of their period of the bus's clock, so
-        that they are the same for all chips.
+        """Create the die. `rate_error` is the relative rate error of its oscillator. `pulse_hz` is the frequency of the
+        pulses at its synchronisation input (0: not connected). They are short, at multiples of their period on the
+        clock of the bus, so that they are the same for all chips.
         """
         self._oscillator = 1 + rate_error
         self._pulse_ns = round(1e9 / pulse_hz) if pulse_hz else 0
@@ -88,7 +88,7 @@ class SixAxis(Chip):
         return round(period_ns / self._oscillator)
 
     def latest_pulse_ns(self, at_ns: int) -> int | None:
-        """Return the time of the last pulse at `at_ns`; None without pulses."""
+        """Return the time of the last pulse up to `at_ns`; None without pulses."""
         return at_ns - at_ns % self._pulse_ns if self._pulse_ns else None
 
     def is_marked(self, grid: SampleGrid, at_ns: int) -> bool:
@@ -103,7 +103,7 @@ class SixAxis(Chip):
         self._reset_end_ns = at_ns
 
     def begin_reset(self, address: int, value: int, at_ns: int) -> bool:
-        """Power on again if this byte sets the reset bit, which then reads 1 until the reset is over."""
+        """Power on again if this byte sets the reset bit, which then reads 1 until the reset ends."""
         if address != self.reset_bit.register.address or not value & self.reset_bit.mask:
             return False
         pointer = self.pointer
@@ -114,18 +114,18 @@ class SixAxis(Chip):
         return True
 
     def end_reset(self, at_ns: int) -> None:
-        """Clear the reset bit if the reset is over."""
+        """Clear the reset bit if the reset has ended."""
         if at_ns >= self._reset_end_ns:
             self.page[self.reset_bit.register.address] &= ~self.reset_bit.mask & 0xFF
 
     def take_element(self, half: str, element: Element) -> None:
-        """Put the other element on the die; ValueError if this half has one."""
+        """Add the element of the other half; ValueError if this half already has one."""
         if half in self._elements:
             raise ValueError(f"two sensors are the {half} of one {type(self).__name__}")
         self._elements[half] = element
 
     def felt(self, half: str, at_ns: int, full_scale: float, bandwidth_hz: float, delay_s: float = 0.0) -> Triple:
-        """Return the input of one half's converter, in g or dps, of `delay_s` ago."""
+        """Return the input of one half's converter, in g or dps, `delay_s` before `at_ns`."""
         element = self._elements.get(half)
         felt_ns = max(self.powered_on_ns, at_ns - round(delay_s * 1e9)) if delay_s else at_ns
         return (0.0, 0.0, 0.0) if element is None else element.sample(felt_ns, full_scale, bandwidth_hz)

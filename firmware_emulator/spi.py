@@ -1,9 +1,9 @@
-"""An emulated chip select: the bytes of one transfer, both ways, and how long they take.
+"""An emulated chip select: the bytes of one transfer in both directions, and their duration.
 
-A transfer is: select, eight clocks a byte without a gap, release. The first byte is the command: bit 7 reads, the rest
-is a register's address, of which some chips use one bit to request auto-increment. The chip sends nothing during that
-byte, nor while it is written to. With a clock that is too fast for the chip, or in an unsupported mode, each byte of an
-answer is late by one bit, and written bytes have no effect (DEC-110).
+A transfer consists of select, eight clocks for each byte without a gap, and release. The first byte is the command: bit
+7 requests a read, the rest is a register's address, in which some chips use one bit to request auto-increment. The chip
+sends nothing during that byte and while it is written to. If the clock is too fast for the chip, or the mode is not
+supported, each byte of an answer is late by one bit, and written bytes have no effect (DEC-110).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SELECT_NS, RELEASE_NS = 50, 150
 (DEC-110).
 """
 OPEN_LINE = 0xFF
-"""Byte that is read where no chip drives the line: a pull-up."""
+"""Byte that is read if no chip drives the line, which has a pull-up."""
 
 
 class Dialect(NamedTuple):
@@ -46,13 +46,14 @@ DIALECTS: dict[str, Dialect] = {
     **{f"icm42688_{half}": _ICM42688 for half in ("acc", "gyro")},
     **{f"lsm6dso_{half}": _LSM6DSO for half in ("acc", "gyro")},
 }
-"""Chip by the name that configurations use."""
+"""Protocols by the name of the chip in configurations."""
 
 
 class ChipSelect:
     """One chip select of a controller; `wire` has the clock and the faults of the host, `device` is the chip.
 
-    `clocks` and `transfers` count the traffic, `busy_ns` how long a chip was selected."""
+    `clocks` and `transfers` count the traffic, `busy_ns` is the total time during which the chip was selected.
+    """
 
     def __init__(self, wire: Wire, device: Target, dialect: Dialect) -> None:
         self.wire = wire
@@ -110,7 +111,7 @@ class ChipSelect:
 
 
 class ChipSelectPort:
-    """A chip select with a clock and a mode; `understood` if the chip supports both."""
+    """A chip select with a clock and a mode; `understood` is true if the chip supports both."""
 
     def __init__(self, select: ChipSelect, clock_hz: int, understood: bool) -> None:
         self._select = select
@@ -118,5 +119,5 @@ class ChipSelectPort:
         self._understood = understood
 
     def exchange(self, sent: bytes) -> bytes:
-        """Send bytes while the chip is selected; return as many received bytes."""
+        """Send bytes while the chip is selected; return the same number of received bytes."""
         return self._select.exchange(sent, self._clock_hz, self._understood)

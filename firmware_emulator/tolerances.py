@@ -1,7 +1,7 @@
 """Tolerances of the units of one kind of chip, as each data sheet states them, in g, dps or gauss.
 
-"Typ" tolerances of Bosch, ST and InvenSense are taken as two sigma and as the limit, Analog Devices' as one sigma with
-the printed minimum and maximum as limits (DEC-51); without printed limits, three sigma.
+"Typ" tolerances of Bosch, ST and InvenSense are interpreted as two sigma and as the limit; those of Analog Devices as
+one sigma, with the printed minimum and maximum as limits (DEC-51), or three sigma without printed limits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from firmware_emulator.chip import Triple
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """A normal distribution around `mean`, cut off `limit` away from it."""
+    """A normal distribution around `mean`, truncated at the distance `limit` from it."""
 
     sigma: float
     limit: float
@@ -46,8 +46,8 @@ NONE = TruncatedNormal(0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """The tolerances of one chip's units, in g, dps or gauss; triples are x, y, z. Scale, cross-axis: shares of one.
-    A tolerance that the data sheet does not state is zero.
+    """The tolerances of one chip's units, in g, dps or gauss; triples are x, y, z. Scale and cross-axis tolerances are
+    relative. A tolerance that the data sheet does not state is zero.
     """
 
     bias: tuple[TruncatedNormal, TruncatedNormal, TruncatedNormal] = (NONE, NONE, NONE)
@@ -68,4 +68,4 @@ class Tolerances:
 
 
 Sheet = Tolerances | Callable[[float], Tolerances]
-"""The tolerances of a data sheet; a function of the measuring range where they depend on it."""
+"""The tolerances of a data sheet; a function of the measuring range if they depend on it."""

@@ -3,11 +3,7 @@
 Draws are keyed by (seed, name of the sensor). The tolerances of a six-axis chip are defined with its registers, in
 `firmware_emulator.chips`.
 
-The paper is Martin, Groves, Newman, Faragher, ION GNSS+ 2013. Its counts are kept as printed and converted to g and dps
-with the data sheet's typical scale. It does not state a gyroscope's scale and alignment, the BMA180's filter setting,
-or a bias in a range that was not used; bandwidths are those of `configs/martin2013.toml`. Temperature slopes are from
-Table 8, where an axis that carries 1 g shows bias and scale in one slope (section 5.2.5): all of it is attributed to
-the bias.
+x
 """
 
 from __future__ import annotations
@@ -30,8 +26,8 @@ class PublishedUnit:
     """One triad of Tables 4, 8 and 10, rows x, y, z. `counts_per_unit` is the typical scale of the data sheet.
 
     An accelerometer's `faces` are the readings with +X, +Y, +Z, -X, -Y, -Z up; a gyroscope's `bias` and `differences`
-    (Table 4) are the mean reading and its changes from +X, +Y, +Z to -X, -Y, -Z up. `step` is the distance of codes
-    that occur. `thermometer_offset_degc` gives the thermometer's mean of Table 10 in a room of 24 degC.
+    (Table 4) are the mean reading and its changes from +X, +Y, +Z to -X, -Y, -Z up. `step` is the step between codes
+    that occur. With `thermometer_offset_degc` the thermometer has its mean of Table 10 in a room of 24 degC.
     """
 
     chip: str
@@ -151,21 +147,22 @@ MOUNTED: dict[str, Matrix] = {
     "Gyro2": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
     "Gyro3": ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
 }
-"""Table 1, box = matrix @ sensor; those of accelerometers follow from Table 10."""
+"""Orientations of the gyroscopes by Table 1, box = matrix @ sensor; those of accelerometers follow from Table 10."""
 
 
 def bias_of(published: PublishedUnit) -> Triple:
-    """The mean of the six faces, or that of Table 4, in the data sheet's unit."""
+    """Return the mean of the six faces, or the bias of Table 4, in the data sheet's unit."""
     counts = [sum(row) / 6 for row in published.faces] if published.faces else published.bias
     x, y, z = (count / published.counts_per_unit for count in counts)
     return x, y, z
 
 
 def force_response(published: PublishedUnit, mounted: Matrix | None = None) -> Matrix:
-    """Return half differences of opposite faces: data sheet units per g, rows the sensor's axes, columns those of the
-    sensor.
+    """Return half the differences of opposite faces, in data-sheet units per g; rows are the measured axes, columns the
+    axes of the ideal orientation.
 
-    `mounted` is the ideal orientation, box = `mounted` @ sensor; without it, the nearest one for an accelerometer.
+    `mounted` is the ideal orientation, box = `mounted` @ sensor; by default the nearest one to the response, for an
+    accelerometer.
     """
     rows = published.differences
     if rows is None:
@@ -195,13 +192,17 @@ def noise_of(published: PublishedUnit) -> Triple:
 
 
 BMA180_NOISE_EXPONENT = math.log(17.05 / 9.53) / math.log(16 / 1.5)
-"""Mean noise of the paper's six axes in mg at 16 g and at 1.5 g (Table 10); the data sheet gives 2 g alone (PAP-05)."""
+"""Exponent of the noise over the full scale, from the mean noise in mg of the paper's six axes at 16 g and at 1.5 g
+(Table 10); the data sheet states only that at 2 g (PAP-05).
+"""
 BMA180_SCALE: dict[float, float] = {1: 0.02, 1.5: 0.02, 2: 0.015, 3: 0.02, 4: 0.02, 8: 0.025, 16: 0.03}
-"""BMA-70 ... BMA-76."""
+"""Relative tolerance of the scale by range in g: BMA-70 ... BMA-76."""
 
 
 def bma180(range_g: float) -> Tolerances:
-    """BMA-110 ... BMA-119 after soldering, and the offset shift of the 8 and 16 g ranges (BMA-79)."""
+    """Return the tolerances BMA-110 ... BMA-119 after soldering, with the offset shift of the 8 and 16 g ranges
+    (BMA-79).
+    """
     return Tolerances(
         bias=(typical(0.060),) * 3,
         slope_per_degc=(typical(0.5e-3),) * 3,
@@ -220,11 +221,13 @@ def bma180(range_g: float) -> Tolerances:
 
 
 L3G4200D_BIAS_DPS: dict[float, float] = {250: 10.0, 500: 15.0, 2000: 75.0}
-"""L3G-70."""
+"""Tolerance of the bias in dps by range in dps: L3G-70."""
 
 
 def l3g4200d(range_dps: float) -> Tolerances:
-    """L3G-70 ... L3G-76; scale and alignment are not specified: within 1 % and 1 degree."""
+    """Return the tolerances L3G-70 ... L3G-76; scale and alignment are not specified and are assumed to be within 1 %
+    and 1 degree.
+    """
     return Tolerances(
         bias=(typical(L3G4200D_BIAS_DPS.get(range_dps, 75.0)),) * 3,
         slope_per_degc=(typical(0.03 if range_dps <= 250 else 0.04),) * 3,
@@ -247,7 +250,9 @@ _HMC5883L = Tolerances(
     noise_exponent=math.log(2.8 / 2.1) / math.log(8.1 / 0.88),
     scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-0.003),
 )
-"""HMC-52 ... HMC-57; noise from 2.1 to 2.8 mG between the smallest and the largest field, unaveraged (HMC-53)."""
+"""Tolerances HMC-52 ... HMC-57; the noise without averaging is 2.1 mG in the smallest and 2.8 mG in the largest range
+(HMC-53).
+"""
 
 TOLERANCES: dict[str, Sheet] = {
     # ADX-60 ... ADX-70, noise at 100 Hz; the same in every range
@@ -264,7 +269,7 @@ TOLERANCES: dict[str, Sheet] = {
     ),
     "bma180": bma180,
     "l3g4200d": l3g4200d,
-    # BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC, 1.5 at most
+    # BMP-70, BMP-73: pressure 1 hPa low, +-1 hPa; temperature within 0.5 degC, 1.5 at most
     "bmp180": replace(
         l3g4200d(0.0),
         pressure_pa=TruncatedNormal(100.0, 300.0, mean=-100.0),
@@ -344,7 +349,7 @@ def drawn_triple(tolerance: TruncatedNormal, random: np.random.Generator) -> Tri
 
 
 def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
-    """Return a purchased part: drawn from the tolerances of its data sheet."""
+    """Return a part like a purchased one: it is drawn from the tolerances of its data sheet."""
     random = stream(seed, f"unit {name}")
     tolerances = tolerances_of(chip, full_scale)
     bias_x, bias_y, bias_z = (tolerance.draw(random) for tolerance in tolerances.bias)
@@ -395,13 +400,17 @@ def paper_unit(name: str, seed: int) -> UnitDeviations:
 
 
 def with_low_range_bias(unit: UnitDeviations, low_range_bias: Triple) -> UnitDeviations:
-    """Return the same bias at high ranges, but `low_range_bias` at low ones: the paper states only the sum of both."""
+    """Return the unit with `low_range_bias` at low ranges and the same bias as before at high ones, because the paper
+    states only the sum of bias and shift.
+    """
     x, y, z = (bias - low for bias, low in zip(unit.bias, low_range_bias, strict=True))
     return replace(unit, bias=low_range_bias, shift=(x, y, z))
 
 
 def unit_of(array: str, name: str, chip: str, full_scale: float, seed: int = 0) -> UnitDeviations:
-    """Return the unit called `name` in an array of that name; a paper's unit only with the paper's chip and range."""
+    """Return the unit called `name` in an array of that name; it is a unit of the paper only if chip and range are also
+    those of the paper.
+    """
     published = TABLES.get(name) if array == PAPER_ARRAY else None
     if published is not None and (published.chip, published.range) == (chip, float(full_scale)):
         return paper_unit(name, seed)

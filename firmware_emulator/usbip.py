@@ -1,8 +1,8 @@
-"""The server's side of USB/IP 1.1.1 as a protocol without I/O: received bytes in, bytes to send out.
+"""The server's side of USB/IP 1.1.1 as a protocol without I/O: it takes received bytes and returns the bytes to send.
 
 Source of every layout here: the Linux kernel's documentation, "USB/IP protocol" (usbip_protocol). All numbers of the
 protocol are big-endian, those inside a setup packet little-endian (USB 2.0, 9.3). Only endpoint 0 exists, so that a
-transfer is at most 65535 bytes long (wLength) and is answered before the next frame is looked at.
+transfer is at most 65535 bytes long (wLength) and is answered before the next frame is processed.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class UsbDevice(Protocol):
     identity: UsbIdentity
 
     def control(self, setup: Setup, data: bytes) -> bytes | None:
-        """Carry out one control transfer: `data` is its data stage if that goes out, the answer if it comes in; None
-        stalls.
+        """Carry out one control transfer: `data` is its data stage in the direction to the device, the returned bytes
+        are that in the direction to the host; None stalls.
         """
 
     def reset(self) -> None:
@@ -89,7 +89,7 @@ class Export:
         return DEVICE.pack(path.encode(), self.busid.encode(), *place, *identity[:3], *identity.device_class, 1, 1, 1)
 
     def interfaces(self) -> bytes:
-        """Class, subclass, protocol of the only interface, and a byte of padding."""
+        """Return class, subclass and protocol of the only interface, and a byte of padding."""
         return bytes([*self.device.identity.interface_class, 0])
 
 
@@ -105,9 +105,10 @@ class Conversation:
         self._pending = bytearray()
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the answers to every frame that `data` completes, each made when it is requested.
+        """Yield the answer to every frame that `data` completes; each one is computed when it is requested.
 
-        ProtocolError for a frame that no client sends; no memory is reserved for a length that is out of bounds."""
+        ProtocolError for a frame that no client sends; no memory is reserved for a length that is out of bounds.
+        """
         self._pending += data
         while not self.over and (answer := self._answer()) is not None:
             yield answer
@@ -169,7 +170,7 @@ class Conversation:
             return self._submit(export.device, seqnum, direction, endpoint)
         if command == UNLINK:
             self._take(ANSWER_UNLINK.size)
-            return ANSWER_UNLINK.pack(RETURN_UNLINK, seqnum, 0, 0, 0, 0)  # status 0: it had been answered before
+            return ANSWER_UNLINK.pack(RETURN_UNLINK, seqnum, 0, 0, 0, 0)  # status 0: the request was already answered
         raise ProtocolError(f"command {command:#x}; allowed are {SUBMIT} and {UNLINK}")
 
     def _submit(self, device: UsbDevice, seqnum: int, direction: int, endpoint: int) -> bytes | None:

@@ -1,9 +1,9 @@
-"""The two wires of one adapter: which devices answer, which bytes they send, and how long a transaction takes.
+"""The two wires of one adapter: the devices that answer, the bytes that they send, and the duration of a transaction.
 
-A transaction is START, one or more messages joined by repeated STARTs (`send`, `receive`), STOP (`stop`); `transfer`
-is the usual one, register address out and bytes in. Every byte takes 9 clocks (BUS-01); START, repeated START and STOP
-take their minimum times (BUS-05, BUS-06). SDA and SCL are open-drain: when several devices answer, a 0 of any of them
-wins (DEC-02).
+A transaction is START, one or more messages joined by repeated STARTs (`send`, `receive`), STOP (`stop`); `transfer` is
+the usual transaction, which writes a register address and reads bytes. Every byte takes 9 clocks (BUS-01); START,
+repeated START and STOP take their minimum times (BUS-05, BUS-06). SDA and SCL are open-drain: if several devices
+answer, a 0 from any of them is read (DEC-02).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from firmware_emulator.clock import WireClock
 
 
 class Router(Target, Protocol):
-    """A device that connects others to the trunk; `route` names which, and changes only in its `stop`."""
+    """A device that connects others to the trunk; `route` is the connected channel and changes only in `stop`."""
 
     route: int
 
@@ -47,8 +47,8 @@ advance the time.
 
 
 class Wire:
-    """One adapter and the devices that are connected to it. An address without an answer is OSError(`nack_errno`),
-    raised after a STOP.
+    """One adapter and the devices that are connected to it. An address that no device acknowledges raises
+    OSError(`nack_errno`) after a STOP.
 
     `host_ns` is software time before every START. `scl_clocks` and `transactions` count the traffic.
     """
@@ -73,7 +73,7 @@ class Wire:
         self._start_ns = host_ns + overhead.start_ns
         self._open = False
         self._begun_ns = 0
-        self._at_ns = 0  # within a transaction the wire counts time itself; the clock is advanced at STOP
+        self._at_ns = 0  # within a transaction the wire counts its own time; the clock is advanced at STOP
         self._addressed: Responders = {}
         self.interference: Interference | None = None
 
@@ -95,7 +95,7 @@ class Wire:
         """Transfer START, `write`, repeated START, `read` bytes, STOP; with neither, only the address, which tests for
         an acknowledge.
 
-        OSError(`nack_errno`) when address or data are not acknowledged, ValueError for a transfer that no adapter can
+        OSError(`nack_errno`) if address or data are not acknowledged, ValueError for a transfer that no adapter can
         send.
         """
         if self.interference is not None:
@@ -130,7 +130,9 @@ class Wire:
         return received
 
     def send(self, address: int, data: bytes) -> None:
-        """Send one writing message: (repeated) START, address, `data`. OSError, after a STOP, without acknowledge."""
+        """Send one writing message: (repeated) START, address, `data`. OSError, after a STOP, if it is not
+        acknowledged.
+        """
         self._interfere(address)
         self._send(address, data)
 
@@ -144,7 +146,7 @@ class Wire:
         self._bytes(count)
 
     def receive(self, address: int, count: int) -> bytes:
-        """Send one reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, when no chip
+        """Send one reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, if no chip
         acknowledges.
         """
         self._interfere(address)
@@ -180,7 +182,7 @@ class Wire:
         self._addressed.clear()
 
     def reroute(self) -> None:
-        """Update the addresses: needed when a device was switched off and on outside a transaction."""
+        """Update the addresses; this is necessary if a device was switched off and on outside a transaction."""
         self._by_routes.clear()
         self._follow_routes()
 
@@ -194,7 +196,7 @@ class Wire:
         return received
 
     def _resume(self, address: int, begun_ns: int, at_ns: int) -> None:
-        """Continue a transaction begun at `begun_ns` by messages, after the address answered at `at_ns`."""
+        """Continue a transaction that messages began at `begun_ns`, after the acknowledge of the address at `at_ns`."""
         self._open = True
         self._begun_ns, self._at_ns = begun_ns, at_ns
         self._addressed[address] = self._responders[address]

@@ -1,8 +1,8 @@
 """Stimulus of the box as a function of time.
 
-A world is a callable ``at_ns -> WorldStimulus`` plus the phases that a person with a stopwatch would note. Any such
-callable is a world: a simulated or a recorded motion can drive the emulated array as well. Vectors are in the box
-frame: specific force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux
+A world is a callable ``at_ns -> WorldStimulus`` plus the phases that a person with a stopwatch would note. Any callable
+of this form is a world, so a simulated or a recorded motion can also drive the emulated array. Vectors are in the box
+frame: specific force in m/s2 (+g along +Z for a box at rest on its -Z face), angular rate in rad/s, magnetic flux
 density in gauss.
 
 The worlds of this module begin at 0 ns and keep their last state without end.
@@ -81,7 +81,9 @@ class WorldStimulus(NamedTuple):
 
 
 class WorldPhase(NamedTuple):
-    """A stretch of time that the experimenter names; `up` is the box axis that points up ("+Z"), "" if none."""
+    """A stretch of time with a name that the experimenter notes; `up` is the box axis that points up ("+Z"), "" if
+    none.
+    """
 
     start_ns: int
     end_ns: int
@@ -150,8 +152,8 @@ class StillWorld:
 class TumbleWorld:
     """Each face is up for `face_s` in the paper's order (section 4), with smooth turns of `turn_s` between them.
 
-    A turn's rate rises and falls as 1 - cos. Its phases cover only the still parts; there are no forces of the turn,
-    because the box turns about its own origin.
+    The rate of a turn rises and falls as 1 - cos. The phases cover only the parts at rest. A turn causes no additional
+    force, because the box turns about its own origin.
     """
 
     face_s: float = 60.0
@@ -209,7 +211,7 @@ class TumbleWorld:
         return self.turning(index, (since_ns - self.face_ns) / self.turn_ns)
 
     def turning(self, index: int, share: float) -> WorldStimulus:
-        """Return the stimulus of the turn after face `index`, of which `share` of the time has passed."""
+        """Return the stimulus in the turn after face `index`, when `share` of its time has elapsed."""
         axis, angle = self.turns[index]
         phase = 2 * math.pi * share
         turned = angle * (share - math.sin(phase) / (2 * math.pi))
@@ -234,7 +236,7 @@ class ProfileStretch(NamedTuple):
 
 
 def heating_to(degc: float, from_degc: float, minutes: float, constant_min: float) -> ProfileStretch:
-    """Return a stretch of heating at whose end exactly `degc` is reached."""
+    """Return a stretch of heating that ends at exactly `degc`."""
     remaining = math.exp(-minutes / constant_min)
     return ProfileStretch("heat", minutes, (degc - from_degc * remaining) / (1 - remaining), constant_min)
 
@@ -251,8 +253,8 @@ PROFILE = (
     heating_to(52.0, WARM_DEGC, 5.0, HEATING_MIN),
     ProfileStretch("cool", 90.0, 25.0, COOLING_MIN),
 )
-"""Times and peaks of the paper's section 5.2.5, whose experiment ended a little warmer than it began. Time constants
-are our assumption.
+"""Temperature profile with the times and peaks of the paper's section 5.2.5. The experiment ended slightly warmer than
+it began. The time constants are our assumption.
 """
 
 
@@ -305,7 +307,7 @@ class Shaking:
 
     Force along each axis and rate about it are each a sum of two sines of incommensurate frequencies (hertz), bounded
     by `peak_g` on top of gravity and by `peak_dps`, under an envelope that rises and falls as 1 - cos within `RAMP_S`.
-    Force and rate are independent: there is no attitude, gravity remains along +Z.
+    Force and rate are independent: the attitude is not simulated, and gravity stays along +Z.
     """
 
     peak_g: float = 8.0
@@ -323,7 +325,7 @@ class Shaking:
 
     @cached_property
     def edges_ns(self) -> tuple[int, int, int, int]:
-        """Return begin, begin of the motion, end of the motion, and end."""
+        """Return beginning, beginning of the motion, end of the motion, and end, in ns."""
         still_ns, motion_ns = round(self.still_s * 1e9), round(self.motion_s * 1e9)
         return 0, still_ns, still_ns + motion_ns, 2 * still_ns + motion_ns
 
@@ -386,7 +388,7 @@ class DelayedWorld:
 
     @cached_property
     def _latest(self) -> World:
-        """Return the world's stimulus, which all elements of a die request for the same instant."""
+        """Return a cached function for the world's stimulus, because all elements of a die request the same instant."""
         return self.world if isinstance(self.world, StillWorld) else lru_cache(maxsize=4)(self.world)
 
 

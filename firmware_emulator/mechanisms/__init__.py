@@ -2,11 +2,11 @@
 
 Each is a physical effect or a fault: heat flow, ripple of the supply, bit errors of a cable, a switch that hangs. It
 acts on an emulated chip, its wiring, the multiplexer or the host, and the real drivers poll the result. Mechanisms are
-a second source of logs for the diagnosis of differences: they were written independently of the simulator, share
-neither code nor form with it, and some of them have no name there.
+a second source of logs for the diagnosis of differences. They were written independently of the simulator, share
+neither code nor form with it, and some of them have no name in it.
 
 `at(severity)` gives a mechanism of `severity` times a stated reference size. `resembles` is for the sealed truth: the
-names by which a diagnosis may rightly call it. See `firmware_emulator.mechanisms.query` for the bus URL, and
+effect names that are correct in a diagnosis. See `firmware_emulator.mechanisms.query` for the bus URL, and
 `firmware_emulator.cases` for whole series of logs.
 """
 

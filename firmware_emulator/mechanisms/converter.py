@@ -25,9 +25,10 @@ from imuarray.facts.registers import Field
 class StuckBit(SensorMechanism):
     """One line of the output latch is shorted to ground: a bit that is always 0.
 
-    code & ~(1 << `bit`): codes lie in every other interval of 2^bit, the mean decreases by 2^(bit - 1).
+    The code becomes code & ~(1 << `bit`): codes are in every other interval of 2^bit only, and the mean decreases by
+    2^(bit - 1).
 
-    Reference: bit 2; each doubling of severity is the next bit.
+    Reference: bit 2; each doubling of the severity moves the fault to the next bit.
     """
 
     bit: int = 2
@@ -40,7 +41,7 @@ class StuckBit(SensorMechanism):
         return cls(bit=min(7, max(1, cls.bit + round(math.log2(severity)))))
 
     def put_on(self, site: Site) -> None:
-        """Return one random share for all axes: they share the line."""
+        """Clear the bit on all axes, which share the line."""
         mask = ~(1 << self.bit)
 
         def latch(at_ns: int, codes: Codes) -> Codes:
@@ -54,10 +55,10 @@ PERIOD = 16
 
 @dataclass(frozen=True)
 class MissingCodes(SensorMechanism):
-    """A converter with poorly matched capacitors: some codes never occur, their neighbours occur instead.
+    """A converter with poorly matched capacitors: some codes never occur and are replaced by their neighbours.
 
-    Missing codes: of every 16 codes the last `missing` before a carry are skipped: the code of the carry is the result
-    instead.
+    Missing codes: of every 16 codes, the last `missing` before a carry never occur; the result is the code of the
+    carry.
 
     Differential nonlinearity of -1 LSB at the carry of bit 4. Reference: 4 of 16.
     """
@@ -72,7 +73,7 @@ class MissingCodes(SensorMechanism):
         return cls(missing=min(PERIOD - 2, max(2, round(cls.missing * severity))))
 
     def put_on(self, site: Site) -> None:
-        """One converter for all axes."""
+        """Act alike on all axes, which share one converter."""
         first = PERIOD - self.missing
 
         def carried(code: int) -> int:
@@ -88,7 +89,8 @@ class MissingCodes(SensorMechanism):
 class ConverterHold(SensorMechanism):
     """The converter latches up for a while: it repeats the same triad, marked as new.
 
-    Free for `free_s` on average, exponential; then held for `held_s`. Reference: 1 s in every 20 s or so.
+    It converts for `free_s` on average (exponentially distributed) and then holds for `held_s`. Reference: about 1 s in
+    every 20 s.
     """
 
     held_s: float = 1.0
@@ -98,7 +100,7 @@ class ConverterHold(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("held_s",)
 
     def put_on(self, site: Site) -> None:
-        """All axes share the converter."""
+        """Hold all axes together, because they share the converter."""
         random = site.run_random("holds")
         next_ns = random.exponential(self.free_s * 1e9)
         until_ns, held = -1.0, (0, 0, 0)
@@ -123,7 +125,7 @@ class TornReads(SensorMechanism):
     Torn readings: with probability `share` a reading has the high byte of the previous one and its own low byte, on all
     axes.
 
-    Wrong by 256 codes (64 of the BMA180's) when the two differ in the high byte, as around 0. Reference: 1 %.
+    The error is 256 codes (64 for the BMA180) if the high bytes of the two readings differ, as near 0. Reference: 1 %.
     """
 
     share: float = 0.01
@@ -157,12 +159,12 @@ SAME_BURST_NS = 1_000_000
 
 @dataclass(frozen=True)
 class InterleavedConverters(SensorMechanism):
-    """Two converters take turns, and their offsets differ.
+    """Two converters alternate, and their offsets differ.
 
-    Every other reading has +o, the ones between -o, o = `offset_g` or `offset_dps`.
+    Readings have the error +o and -o in turn, o = `offset_g` or `offset_dps`.
 
-    Time-interleaved converters (Black and Hodges 1980), which change places after every burst; conversions within
-    `SAME_BURST_NS` belong together. Reference: 4 mg or 0.15 dps.
+    Time-interleaved converters (Black and Hodges 1980), which alternate from burst to burst; conversions within
+    `SAME_BURST_NS` belong to one burst. Reference: 4 mg or 0.15 dps.
     """
 
     offset_g: float = 4e-3
@@ -170,7 +172,7 @@ class InterleavedConverters(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("offset_g", "offset_dps")
 
     def put_on(self, site: Site) -> None:
-        """Return one random share for all axes: they use both converters."""
+        """Add the same offset to all axes, which use both converters."""
         offset, before_ns = site.by_unit(self.offset_g, self.offset_dps), 0
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
@@ -224,7 +226,7 @@ class SlowOscillator(SensorMechanism):
         return cls(rate_hz=cls.rate_hz / severity)
 
     def put_on(self, site: Site) -> None:
-        """Set the rate error of a BMA180, which is a switch; give the others another clock."""
+        """Set the rate error of a BMA180, which is a switch of its model; replace the class of other chips."""
         if site.chip == "bma180":
             site.switches["rate_error"] = self.rate_hz / UPDATE_HZ - 1
             return
@@ -233,8 +235,8 @@ class SlowOscillator(SensorMechanism):
 
 
 def without_bit(code: int, which: int) -> int:
-    """Return `code` without its set bit number `which`, counted from the lowest; without the highest if there are
-    fewer.
+    """Return `code` without its set bit number `which`, counted from the lowest; if it has fewer set bits, without the
+    highest one.
     """
     bits = [bit for bit in range(code.bit_length()) if code >> bit & 1]
     return code & ~(1 << bits[min(which, len(bits) - 1)]) if bits else code
@@ -242,7 +244,7 @@ def without_bit(code: int, which: int) -> int:
 
 @contextmanager
 def lost(page: bytearray, field: Field, which: int) -> Iterator[None]:
-    """Return the register as the divider receives it."""
+    """Clear the lost bit of the field in the register page within the block, as the divider receives it."""
     written = page[field.register.address]
     page[field.register.address] = field(without_bit(field.of(written), which)).into(written)
     try:
@@ -252,13 +254,13 @@ def lost(page: bytearray, field: Field, which: int) -> Iterator[None]:
 
 
 class Divider:
-    """A mix-in of a chip: the actual effect of its rate bits."""
+    """A mix-in for a chip class: the actual effect of its rate bits."""
 
     which = 0
     page: bytearray
 
     def as_wired(self, field: Field) -> AbstractContextManager[None]:
-        """Apply a setting with the lost bit."""
+        """Return a context in which the field lacks the lost bit."""
         return lost(self.page, field, self.which)
 
 
@@ -293,8 +295,9 @@ DIVIDED: dict[str, type[Chip]] = {"adxl345": DividedAdxl345, "bma180": DividedBm
 class RateDivider(SensorMechanism):
     """A bit of the rate register does not reach the divider: it reads back as written but has no effect.
 
-    The set bit number `lost_bit` of the rate code, counted from the lowest, acts as 0; rate, filter and with them noise
-    are those of the remaining code. Reference: the lowest set bit; higher ones from severities 2 and 4 on.
+    Among the set bits of the rate code, number `lost_bit`, counted from the lowest, acts as 0. Rate and filter, and
+    therefore the noise, are those of the remaining code. Reference: the lowest set bit; higher ones from severities 2
+    and 4 on.
     """
 
     lost_bit: int = 0
@@ -323,12 +326,13 @@ class RangeSwitch(SensorMechanism):
     """The switch of the range bits does not close after some power-ups: the register reads back as written, the range
     differs.
 
-    A wrong range: after every `every`-th power-up the amplifier stays in the range below that of the range bits, or
-    above it if that is the smallest: codes are larger by the ratio and clip at their ends; the offset is that of the
-    range in force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has no switch.
+    A wrong range: after every `every`-th power-up, the amplifier stays in the next smaller range than that of the range
+    bits, or in the next larger one if that is the smallest. Codes are larger by the ratio and clip at their ends; the
+    offset is that of the actual range (BMA-79). An ADXL345 in full resolution has one scale in all ranges (ADX-40) and
+    therefore no switch.
 
-    Resembles run 10 of BMA1 in the paper's Table 6. It is present or absent, in every fourth power-up: the change is a
-    whole range in any case.
+    It resembles run 10 of BMA1 in the paper's Table 6. It has no severity, because the change is always a whole range;
+    it occurs at every fourth power-up.
     """
 
     every: int = 4
@@ -337,7 +341,7 @@ class RangeSwitch(SensorMechanism):
     resembles: ClassVar[tuple[str, ...]] = ("range_reset",)
 
     def put_on(self, site: Site) -> None:
-        """Choose the part's own wrong power-ups, never the first two."""
+        """Choose the power-ups with the wrong range by the part; they never include the first two."""
         first = 2 + int(site.unit_random("range switch").integers(self.every))
         if site.run < first or (site.run - first) % self.every:
             return
@@ -358,11 +362,11 @@ THRESHOLD_DPS = 100.0
 class AdaptiveRange(SensorMechanism):
     """A gyroscope that changes its full-scale range automatically, without new readings during the change.
 
-    An adaptive range that stays on: at the sample at which the size of an axis has passed 100 dps, either way, the
-    converter keeps its reading, and for `held_s` from then on.
+    An adaptive range that stays on: when the magnitude of an axis crosses 100 dps, in either direction, the converter
+    keeps its reading for `held_s`.
 
-    An ICM-42688-P does so unless INTF_CONFIG1 says otherwise (TDK-18), which the driver sets and verifies; this part
-    reads the register back as written, but ignores it. Reference: 1.5 ms (DEC-63).
+    An ICM-42688-P does this unless INTF_CONFIG1 disables it (TDK-18), which the driver sets and verifies; in this part
+    the register reads back as written but has no effect. Reference: 1.5 ms (DEC-63).
     """
 
     held_s: float = 1.5e-3
@@ -372,7 +376,7 @@ class AdaptiveRange(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("held_s",)
 
     def put_on(self, site: Site) -> None:
-        """Return one random share for all axes: they share the range."""
+        """Hold all axes together, because they share the range."""
         was_inside: tuple[bool, ...] | None = None
         until_ns, shown = -1.0, (0.0, 0.0, 0.0)
 

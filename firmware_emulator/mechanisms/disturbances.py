@@ -18,7 +18,8 @@ from firmware_emulator.world import WorldStimulus
 class CarrierShotNoise(SensorMechanism):
     """Shot noise: the front end counts single charge carriers.
 
-    Two leakage currents of opposite sign, each `carriers` a conversion on average; each carrier moves the output.
+    There are two leakage currents of opposite sign, each of `carriers` per conversion on average; each carrier changes
+    the output.
 
     error = q (N1 - N2), N Poisson with mean `carriers`: variance 2 q^2 `carriers` (Schottky 1918). The charge step q is
     `step_g` or `step_dps`. Reference: 5 mg or 0.15 dps rms.
@@ -32,7 +33,7 @@ class CarrierShotNoise(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return larger currents: more carriers of the same charge."""
+        """Return the mechanism with larger currents: more carriers of the same charge."""
         return cls(carriers=cls.carriers * severity**2)
 
     def put_on(self, site: Site) -> None:
@@ -51,11 +52,12 @@ class CarrierShotNoise(SensorMechanism):
 class TrappedCharges(SensorMechanism):
     """Flicker noise: a bank of charge traps, each of which fills and empties with its own time constant.
 
-    `traps` per axis, full or empty, time constants spread evenly in log(tau) from `fastest_s` to `slowest_s`.
+    Each axis has `traps` that are full or empty, with time constants spread evenly in log(tau) from `fastest_s` to
+    `slowest_s`.
 
-    A trap that contributes +-a has the autocorrelation a^2 exp(-dt/tau), the bank a spectrum of 1/f between the two
+    A trap that contributes +-a has the autocorrelation a^2 exp(-dt/tau); the bank has a 1/f spectrum between the two
     corner frequencies (McWhorter 1957). Between two evaluations a trap flips with probability (1 - exp(-dt/tau)) / 2.
-    Rms of the bank is a sqrt(traps). Reference: a bank of 2 mg or 0.06 dps rms.
+    The rms of the bank is a sqrt(traps). Reference: a bank of 2 mg or 0.06 dps rms.
     """
 
     rms_g: float = 2e-3
@@ -90,10 +92,10 @@ class TrappedCharges(SensorMechanism):
 class StressRelaxation(SensorMechanism):
     """The attachment of the package relaxes: small slips of the glue add up to a random walk.
 
-    Slips at `slips_per_s` on each axis (Poisson), each of a size with Laplace's distribution of scale b.
+    Slips occur at the rate `slips_per_s` on each axis (Poisson); their sizes have a Laplace distribution of scale b.
 
-    Variance grows by 2 b^2 `slips_per_s` a second: over times much longer than between slips a random walk of K = b
-    sqrt(2 slips_per_s). Reference: K = 0.8 mg or 0.025 dps per sqrt(s).
+    The variance grows by 2 b^2 `slips_per_s` per second. Over times much longer than those between slips, this is a
+    random walk of K = b sqrt(2 slips_per_s). Reference: K = 0.8 mg or 0.025 dps per sqrt(s).
     """
 
     slips_per_s: float = 2.0
@@ -122,11 +124,13 @@ class StressRelaxation(SensorMechanism):
 
 @dataclass(frozen=True)
 class SingleTrap(SensorMechanism):
-    """Popcorn noise: one defect in the amplifier of one axis traps a carrier for a while.
+    """Popcorn noise: one defect in the amplifier of one axis traps a carrier for some time.
 
-    Empty for `capture_s` on average, full for `emission_s`, both exponential; full adds `size_g` or `size_dps`.
+    It is empty for `capture_s` on average and full for `emission_s`, both exponentially distributed; while full it adds
+    `size_g` or `size_dps`.
 
-    Share of time full: emission_s / (capture_s + emission_s) (Machlup 1954). Reference: 12 mg or 0.4 dps.
+    The share of the time during which it is full is emission_s / (capture_s + emission_s) (Machlup 1954). Reference: 12
+    mg or 0.4 dps.
     """
 
     size_g: float = 12e-3
@@ -138,7 +142,7 @@ class SingleTrap(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("size_g", "size_dps")
 
     def put_on(self, site: Site) -> None:
-        """Act in the amplifier of one axis, which depends on the part."""
+        """Act in the amplifier of one axis; the axis depends on the part."""
         random, size = site.run_random("trap"), site.by_unit(self.size_g, self.size_dps)
         axis = int(site.unit_random("trap").integers(3))
         place = (float(axis == 0), float(axis == 1), float(axis == 2))
@@ -157,13 +161,13 @@ class SingleTrap(SensorMechanism):
 
 @dataclass(frozen=True)
 class MainsRipple(SensorMechanism):
-    """Mains ripple on the supply: a fundamental with harmonics, whose frequency wanders as that of the grid.
+    """Mains ripple on the supply: a fundamental with harmonics, whose frequency wanders like that of the grid.
 
     error = s (sin p + h2 sin 2p + h3 sin 3p), dp/dt = 2 pi (`mains_hz` + w), with h2, h3 = `harmonics`.
 
     w wanders with `wander_hz` rms and a correlation time of `wander_s` (first-order Gauss-Markov; the European grid
-    keeps within 20 mHz). s, `peak_g` or `peak_dps`, acts on each axis by the part's own sensitivity to its supply.
-    Reference: 5 mg or 0.15 dps.
+    keeps within 20 mHz). s is `peak_g` or `peak_dps`, multiplied on each axis by the part's own sensitivity to its
+    supply. Reference: 5 mg or 0.15 dps.
     """
 
     peak_g: float = 5e-3
@@ -199,10 +203,10 @@ class MainsRipple(SensorMechanism):
 class SpinningMotor(SensorMechanism):
     """A fan near the sensor spins up periodically.
 
-    Every `cycle_s` the motor is switched on for three quarters of the time: f = F (1 - exp(-t / `spin_up_s`)).
+    In each `cycle_s` the motor is on for three quarters of the time: f = F (1 - exp(-t / `spin_up_s`)).
 
-    Its imbalance shakes with a (f / F)^2 sin p, p = 2 pi F (t - s (1 - exp(-t / s))), F = `speed_hz`, s = `spin_up_s`,
-    a = `peak_g` or `peak_dps` on average of the axes. Reference: 15 mg or 0.5 dps at 23 Hz.
+    Its imbalance causes the vibration a (f / F)^2 sin p, p = 2 pi F (t - s (1 - exp(-t / s))), F = `speed_hz`, s =
+    `spin_up_s`, a = `peak_g` or `peak_dps`, averaged over the axes. Reference: 15 mg or 0.5 dps at 23 Hz.
     """
 
     peak_g: float = 15e-3
@@ -213,7 +217,7 @@ class SpinningMotor(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("peak_g", "peak_dps")
 
     def wave(self, seconds: float) -> float:
-        """Return the shaking in units of its largest, `seconds` after power-on."""
+        """Return the vibration `seconds` after power-on, relative to its largest amplitude."""
         since = seconds % self.cycle_s - self.cycle_s / 4
         if since <= 0:
             return 0.0
@@ -221,7 +225,7 @@ class SpinningMotor(SensorMechanism):
         return risen**2 * math.sin(2 * math.pi * self.speed_hz * (since - self.spin_up_s * risen))
 
     def put_on(self, site: Site) -> None:
-        """Act along a direction of the place."""
+        """Add the vibration along a direction that depends on the sensor."""
         direction, peak = site.direction("motor"), site.by_unit(self.peak_g, self.peak_dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -232,7 +236,7 @@ class SpinningMotor(SensorMechanism):
 
 @dataclass(frozen=True)
 class KeyedTransmitter(SensorMechanism):
-    """A nearby radio transmitter that is keyed: noise while it sends, none otherwise.
+    """A nearby radio transmitter that is keyed adds noise while it sends.
 
     A transmitter nearby: for `sending_s` of every `period_s` the demodulated carrier adds Gaussian noise of `rms_g` or
     `rms_dps`.
@@ -247,7 +251,7 @@ class KeyedTransmitter(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("rms_g", "rms_dps")
 
     def put_on(self, site: Site) -> None:
-        """Act at the sender's own times."""
+        """Add noise during the times at which the transmitter sends."""
         random, rms = site.run_random("radio"), site.by_unit(self.rms_g, self.rms_dps)
         offset_s = random.uniform(0.0, self.period_s)
 
@@ -262,9 +266,9 @@ class KeyedTransmitter(SensorMechanism):
 
 @dataclass(frozen=True)
 class OneSidedNoise(SensorMechanism):
-    """Noise that is rectified by a contact.
+    """One-sided noise, as from a contact that rectifies.
 
-    Adds e - mean, e exponential with `mean_g` or `mean_dps`: variance mean^2, skewness 2.
+    It adds e - mean, e exponentially distributed with the mean `mean_g` or `mean_dps`: variance mean^2, skewness 2.
 
     Reference: 8 mg or 0.25 dps.
     """
@@ -286,7 +290,7 @@ class OneSidedNoise(SensorMechanism):
 
 @dataclass(frozen=True)
 class ReferenceNoise(SensorMechanism):
-    """The converter's reference is noisy: the noise of a reading grows with its size.
+    """The converter's reference is noisy: the noise of a reading is proportional to its magnitude.
 
     output = input / (1 + `share` n), n white and Gaussian, one for all axes of a conversion. Reference: 1.5 %.
     """
@@ -295,7 +299,7 @@ class ReferenceNoise(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("share",)
 
     def put_on(self, site: Site) -> None:
-        """Scale all axes of a conversion by one error."""
+        """Scale all axes of a conversion by the same error."""
         random = site.run_random("reference")
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:

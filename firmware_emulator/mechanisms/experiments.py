@@ -11,9 +11,10 @@ from firmware_emulator.world import HeatingWorld, PhasedWorld, Shaking, StillWor
 
 @dataclass(frozen=True)
 class BenchExperiment:
-    """`logs` power-ups of `seconds` each in a `world`, in files called `name`; `phase` names a log as a whole.
+    """An experiment of `logs` power-ups of `seconds` each in a `world`, in files called `name`; `phase` is the name of
+    a phase that lasts for the whole log.
 
-    A reference instrument is read at `reference_hz`; 0: with every frame.
+    The reference instrument is read at `reference_hz`; 0: once in every frame.
     """
 
     name: str
@@ -44,11 +45,11 @@ EXPERIMENTS: Mapping[str, BenchExperiment] = MappingProxyType(
         "motion": BenchExperiment("motion", Shaking(peak_g=0.35, peak_dps=150.0), 50.0, reference_hz=500.0),
     }
 )
-"""Experiments by the names that the command line uses; all together nine minutes of emulated time."""
+"""Experiments by the names that the command line uses; together they last nine minutes of emulated time."""
 
 
 def known_experiment(name: str) -> BenchExperiment:
-    """Return an entry of `EXPERIMENTS`; ValueError lists the others."""
+    """Return an entry of `EXPERIMENTS`; the ValueError for an unknown name lists the known ones."""
     if name not in EXPERIMENTS:
         raise ValueError(f"experiment {name!r}; allowed are {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]

@@ -18,8 +18,8 @@ Reading = Callable[[int], int]
 class HostClock:
     """The host's clock as a function of the world's `clock`.
 
-    `shown` turns a time of the world into what is displayed, in nanoseconds, and never decreases; `when` is the
-    earliest time of the world at which a given display is reached; both count from power-on, when the display was
+    `shown` converts a time of the world to the displayed time, in nanoseconds, and never decreases. `when` returns the
+    earliest time of the world at which a given display is reached. Both count from power-on, when the display was
     correct.
     """
 
@@ -29,7 +29,7 @@ class HostClock:
         self._powered_on_ns = powered_on_ns
 
     def shown(self, at_ns: int) -> int:
-        """Return the display at a time of the world."""
+        """Return the displayed time at a time of the world."""
         if isinstance(self._clock, HostClock):
             at_ns = self._clock.shown(at_ns)
         return self._display(at_ns)
@@ -38,7 +38,7 @@ class HostClock:
         return self._powered_on_ns + self._shown(clock_ns - self._powered_on_ns)
 
     def now_ns(self) -> int:
-        """Return the display."""
+        """Return the displayed time."""
         return self._display(self._clock.now_ns())
 
     def advance(self, ns: int) -> None:
@@ -51,7 +51,7 @@ class HostClock:
 
 
 class LatentWire(Wire):
-    """An adapter with latency of the program: `waits_ns` are drawn before every transaction."""
+    """An adapter used by a program with latency: `waits_ns` are drawn before every transaction."""
 
     def __init__(
         self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int, waits_ns: Sequence[Callable[[], int]]
@@ -86,7 +86,7 @@ class WatchedMux(Pca9544aChip):
 
     @property
     def astray_for(self) -> int:
-        """The channel that was selected while another one is connected, `NO_CHANNEL` if there is none."""
+        """The selected channel while a different one is connected, otherwise `NO_CHANNEL`."""
         return NO_CHANNEL if self.ordered == self.route else self.ordered
 
     def stop(self, at_ns: int) -> None:

@@ -18,9 +18,10 @@ ROUNDS = 8
 class HostResonator(Mechanism):
     """The host's clock is a cheap resonator whose frequency changes as it warms up.
 
-    Rate error e (1 - exp(-t / `warm_up_s`)), e = `error`: shown = t + e (t - w (1 - exp(-t / w))).
+    The rate error is e (1 - exp(-t / w)), e = `error`, w = `warm_up_s`, so the displayed time is t + e (t - w (1 -
+    exp(-t / w))).
 
-    A ceramic resonator is within 0.5 %. Reference: 0.5 % fast, after 30 s.
+    Ceramic resonators are within 0.5 %. Reference: 0.5 % fast, with a warm-up time of 30 s.
     """
 
     error: float = 5e-3
@@ -31,16 +32,16 @@ class HostResonator(Mechanism):
     scaled: ClassVar[tuple[str, ...]] = ("error",)
 
     def ahead_ns(self, at_ns: int) -> float:
-        """Return by how much the display is ahead."""
+        """Return the error of the displayed time in ns."""
         warm_ns = self.warm_up_s * 1e9
         return self.error * (at_ns + warm_ns * math.expm1(-at_ns / warm_ns))
 
     def shown(self, at_ns: int) -> int:
-        """Return the display."""
+        """Return the displayed time in ns."""
         return at_ns + round(self.ahead_ns(at_ns))
 
     def when(self, shown_ns: int) -> int:
-        """Return the earliest time of the world with that display, by fixed point."""
+        """Return the earliest time of the world with that displayed time, by fixed-point iteration."""
         at_ns = shown_ns
         for _ in range(ROUNDS):
             at_ns = shown_ns - round(self.ahead_ns(at_ns))
@@ -49,7 +50,7 @@ class HostResonator(Mechanism):
         return at_ns
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Put one clock error on the host."""
+        """Add the clock error to the host."""
         board.host.clocks.append((self.shown, self.when))
 
 
@@ -57,7 +58,7 @@ class HostResonator(Mechanism):
 class SchedulerLatency(Mechanism):
     """Other programs on the host run between the reading of the clock and the transfer.
 
-    A `share` of transactions waits, exponentially with mean `mean_ms`. Reference: 3 % wait 1 ms.
+    A `share` of the transactions waits, exponentially distributed with mean `mean_ms`. Reference: 3 % wait 1 ms.
     """
 
     share: float = 0.03
@@ -82,11 +83,11 @@ COARSEST_MS = 15.0
 
 @dataclass(frozen=True)
 class CoarseTimestamps(Mechanism):
-    """A kernel with a tick: the clock does not change between two ticks, and sleeping programs wake at ticks.
+    """A kernel with a tick: the clock is constant between two ticks, and sleeping programs wake up at ticks.
 
     Times are rounded down to whole ticks of `tick_ms`. Reference: 10 ms, the jiffy of a kernel with HZ=100.
 
-    At most `COARSEST_MS`: two readings within a tick would have the same time.
+    The tick is at most `COARSEST_MS`, because two readings within a longer tick would have the same time.
     """
 
     tick_ms: float = 10.0
@@ -99,7 +100,7 @@ class CoarseTimestamps(Mechanism):
         return cls(tick_ms=min(COARSEST_MS, cls.tick_ms * severity))
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Put one coarse clock on the host."""
+        """Replace the clock of the host by a coarse one."""
         tick_ns = round(self.tick_ms * 1e6)
         board.host.clocks.append(
             (lambda at_ns: at_ns // tick_ns * tick_ns, lambda shown_ns: -(-shown_ns // tick_ns) * tick_ns)

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mechanism(ABC):
-    """Physical parameters of one cause of difference; a subclass defines them in SI or data sheet units.
+    """One cause of differences with its physical parameters, which a subclass defines in SI or data-sheet units.
 
-    `touches` are the chips on which it can be put, `place` how many sensors it takes: "sensor" (any number), "pair"
-    (two of one chip), "design" (all of one chip), "host" (the whole array). `resembles` names the effects that a
-    diagnosis may rightly call it, none if there is no name for it. `scaled` names the parameters that are proportional
-    to the severity.
+    `touches` are the chips on which it can act. `place` states which sensors it needs: "sensor" (any number), "pair"
+    (two of one chip), "design" (all of one chip), "host" (the whole array). `resembles` contains the effect names that
+    are correct in a diagnosis; it is empty if no effect describes the mechanism. `scaled` names the parameters that are
+    proportional to the severity.
     """
 
     touches: ClassVar[tuple[str, ...]] = INERTIAL
@@ -44,7 +44,7 @@ class Mechanism(ABC):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return the mechanism at `severity` times its reference size, which the defaults state."""
+        """Return the mechanism at `severity` times its reference size, which is that of the default parameters."""
         return replace(cls(), **{name: severity * getattr(cls, name) for name in cls.scaled})
 
     @abstractmethod
@@ -52,7 +52,7 @@ class Mechanism(ABC):
         """Put it on these sensors of the board."""
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
-        """Return its usual sensors: all on which it can be put; of a design, those of the commonest chip."""
+        """Return its default sensors: all on which it can act, or for a "design" those of the most frequent chip."""
         touched = [sensor for sensor in sensors if sensor.chip in self.touches]
         if self.place == "design":
             ((chip, _),) = Counter(sensor.chip for sensor in touched).most_common(1) or [("", 0)]
@@ -75,16 +75,16 @@ class SensorMechanism(Mechanism):
 
 
 UNITS = ("paper", "drawn", "toleranced")
-"""Units of the parts: those of the paper; drawn, but only in properties that every part has; drawn in all properties
-that a data sheet specifies by a tolerance.
+"""Kinds of units, in this order: those of the paper; units drawn only in the basic properties (see `plain_part`); units
+drawn in all properties for which a data sheet states a tolerance.
 """
 TURN_ON_SHARE = 0.003
-"""Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: that
-of the paper's parts (left half of its Table 11: up to 0.65 mg and 0.036 dps).
+"""Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias tolerance of its data
+sheet; it is that of the paper's parts (left half of its Table 11: up to 0.65 mg and 0.036 dps).
 """
 RATE_ERROR: Mapping[str, TruncatedNormal] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
-"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no data sheet states it. That of an
-ADXL345 is exact.
+"""Relative error of a toleranced part's oscillator: BMA-107; for the L3G4200D, whose data sheet states none, that of an
+RC oscillator is assumed. The oscillator of an ADXL345 is exact.
 """
 LEAST_SENSORS = {"pair": 2, "design": 2}
 
@@ -98,10 +98,10 @@ class Fitting:
 
 
 def plain_part(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
-    """Return a part drawn from its data sheet's tolerances, but only in properties that every part has.
+    """Return a part that is drawn from its data sheet's tolerances, but only in its basic properties.
 
-    Noise, bias, its slope with temperature, scale, alignment; no temperature slope of the scale, no g-sensitivity and
-    no error of the thermometer: those are mechanisms.
+    These are noise, bias, its slope with temperature, scale factor and alignment. Temperature slope of the scale
+    factor, g-sensitivity and error of the thermometer are omitted, because they are mechanisms.
     """
     unit = drawn_unit(chip, name, full_scale, seed)
     return replace(unit, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
@@ -121,8 +121,8 @@ def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int
 
 
 def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
-    """Return the sensors of a fitting; ValueError for one that does not exist or on which the mechanism can't be
-    put.
+    """Return the sensors of a fitting; ValueError for a sensor that does not exist or on which the mechanism cannot
+    act.
     """
     mechanism, by_name = fitting.mechanism, {sensor.name: sensor for sensor in array.sensors}
     mechanism_name = type(mechanism).__name__
@@ -145,8 +145,8 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
 class BenchHost:
     """The host and the multiplexer on which mechanisms act; see `firmware_emulator.mechanisms.host`.
 
-    `clocks` are pairs (shown, when), each of which reads the display of the one before. `mux` exists once the array is
-    assembled, if a mechanism acts on it.
+    `clocks` are pairs (shown, when); each clock reads the time displayed by the one before. `mux` exists once the array
+    is assembled, if a mechanism acts on it.
     """
 
     waits_ns: list[Callable[[], int]] = field(default_factory=list)
@@ -157,11 +157,11 @@ class BenchHost:
 
 
 class FittedBoard(Board):
-    """The board of `array` after power-up number `run`, with `fittings` at work; `units` as in `UNITS`.
+    """The board of `array` after power-up number `run`, on which `fittings` are active; `units` as in `UNITS`.
 
     `notes` collects events of mechanisms that do not follow from their parameters, `touched` the sensors with false
     readings, for mechanisms that affect random ones; `crossed` maps sensors with swapped wiring. ValueError for
-    mechanisms that can't be put on this array.
+    mechanisms that cannot act on this array.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class FittedBoard(Board):
                 raise ValueError(f"sensor {site.name}: two mechanisms would change the inside of its {site.chip}")
 
     def site(self, sensor: SensorLike) -> Site:
-        """Return the site of that sensor, on which mechanisms act."""
+        """Return the site of that sensor, at which mechanisms act."""
         if sensor.name not in self._sites:
             self._sites[sensor.name] = Site(
                 sensor.name,
@@ -210,7 +210,7 @@ class FittedBoard(Board):
         return self._sites[sensor.name]
 
     def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
-        """Return one adapter, with latency if the host has it."""
+        """Return one adapter, with latency if a mechanism adds it."""
         if self.host.waits_ns:
             return LatentWire(clock, bit_rate_hz, nack_errno, host_ns, self.host.waits_ns)
         return super().wire(clock, bit_rate_hz, nack_errno, host_ns)
@@ -253,14 +253,14 @@ class FittedBoard(Board):
         return kind
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
-        """Return what mechanisms set, and the oscillator of a toleranced part."""
+        """Return the switches that mechanisms set, and the rate error of a toleranced part."""
         changes: dict[str, Any] = {}
         if self.units == "toleranced" and sensor.chip in RATE_ERROR:
             changes["rate_error"] = RATE_ERROR[sensor.chip].draw(stream(self.seed, f"oscillator of {sensor.name}"))
         return {**changes, **(self._sites[sensor.name].switches if sensor.name in self._sites else {})}
 
     def generator_key(self, sensor: SensorLike) -> str:
-        """Return another key of the noise after each power-up."""
+        """Return the key of the noise, which is different after each power-up."""
         return f"{self.seed} {sensor.name} {self.run}" if self.run else super().generator_key(sensor)
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:

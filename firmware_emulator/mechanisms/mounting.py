@@ -17,7 +17,7 @@ from firmware_emulator.world import WorldStimulus, cross, seen_after_turn
 class PackageTilt(SensorMechanism):
     """The package was tilted when the solder solidified.
 
-    A package that is turned by `tilt_deg` about an axis of the part's own (Rodrigues). Reference: 2 degrees.
+    The package is rotated by `tilt_deg` about an axis that depends on the part (Rodrigues). Reference: 2 degrees.
     """
 
     tilt_deg: float = 2.0
@@ -35,7 +35,7 @@ class PackageTilt(SensorMechanism):
 
 
 class Rotation:
-    """Return a function stimulus -> stimulus after a rotation about `axis`; for a box at rest it returns the same
+    """A function that returns the stimulus after a rotation about `axis`; for a box at rest it always returns the same
     object.
     """
 
@@ -45,7 +45,7 @@ class Rotation:
         self._after = WorldStimulus()
 
     def __call__(self, at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
-        """Return the same object as long as `stimulus` is the same."""
+        """Return the rotated stimulus; it is the same object as long as `stimulus` is the same."""
         if stimulus is not self._before:
             self._before = stimulus
             self._after = stimulus._replace(
@@ -60,7 +60,8 @@ class Rotation:
 class RotatedPackage(SensorMechanism):
     """A square package that was soldered with a rotation of 90 degrees.
 
-    Turned by `quarters` quarter turns about the sensor's own z: x feels what y should, y the negative of x.
+    The package is rotated by `quarters` quarter turns about the sensor's own z: after one, x measures the stimulus of
+    y, and y the negative of that of x.
 
     It is present or absent: every severity is one quarter turn.
     """
@@ -70,7 +71,7 @@ class RotatedPackage(SensorMechanism):
     resembles: ClassVar[tuple[str, ...]] = ("axis_error",)
 
     def put_on(self, site: Site) -> None:
-        """The sensor's z axis in the box is the last column of its orientation."""
+        """Rotate about the sensor's z axis, which in the box frame is the last column of its orientation."""
         x, y, z = (row[2] for row in site.orientation)
         cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[self.quarters % 4]
         site.chain.felt.append(Rotation((x, y, z), cosine, sine))
@@ -83,9 +84,10 @@ HALF_NS = 500_000
 class LeverArm(SensorMechanism):
     """A sensor at a distance from the point about which the box turns.
 
-    f' = f + a x r + w x (w x r), r of length `arm_m` in a direction of the part's own, a the change of the rate w.
+    f' = f + a x r + w x (w x r), r of length `arm_m` in a direction that depends on the part, a the derivative of the
+    rate w.
 
-    Rigid-body kinematics; a by central difference over 1 ms. Reference: 50 mm.
+    Rigid-body kinematics; a is a central difference over 1 ms. Reference: 50 mm.
     """
 
     arm_m: float = 0.05
@@ -116,7 +118,7 @@ class LeverArm(SensorMechanism):
 class CrossedWiring(Mechanism):
     """Two sensors of one kind that are plugged into each other's socket.
 
-    Each of two sensors of one chip answers in the other's place, with its own unit and orientation.
+    Each of two sensors of one chip answers instead of the other, with its own unit and orientation.
 
     It is present or absent: every severity is the same.
     """
@@ -125,7 +127,7 @@ class CrossedWiring(Mechanism):
     resembles: ClassVar[tuple[str, ...]] = ("channel_swap",)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Swap the ranges too: chips are set up through the same crossed wires."""
+        """Swap the two sensors including their ranges, because chips are set up through the same crossed wires."""
         first, second = sites
         board.crossed |= {first.name: second.name, second.name: first.name}
 
@@ -134,10 +136,11 @@ class CrossedWiring(Mechanism):
 class DroppedBox(SensorMechanism):
     """The box fell from the bench after the first recording.
 
-    A box that was dropped: from power-up number 1 on, the bias of each axis is shifted for good, by `shift_g` or
+    A box that was dropped: from power-up number 1 on, the bias of each axis is permanently shifted, by `shift_g` or
     `shift_dps` on average.
 
-    Permanent deformation of the die's attachment; data sheets of the time give no figure. Reference: 15 mg or 0.5 dps.
+    Permanent deformation of the die's attachment; data sheets of that time state no figure. Reference: 15 mg or 0.5
+    dps.
     """
 
     shift_g: float = 15e-3
@@ -147,7 +150,7 @@ class DroppedBox(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("shift_g", "shift_dps")
 
     def put_on(self, site: Site) -> None:
-        """Change nothing before the fall."""
+        """Add the shift, except before the fall."""
         if site.run == 0:
             return
         direction, shift = site.direction("fall"), site.by_unit(self.shift_g, self.shift_dps)

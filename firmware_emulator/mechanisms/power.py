@@ -1,4 +1,4 @@
-"""Mechanisms of the supply, and those that start again at each power-up."""
+"""Mechanisms of the supply, and mechanisms that restart at each power-up."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class SupplyDrift(Mechanism):
     Deviation of the supply in volts: a first-order Gauss-Markov process of `drift_v` rms and correlation time
     `drift_s`.
 
-    Each axis responds with its sensitivity to the supply, which the design gives and each part varies by a tenth;
-    `per_v_g` or `per_v_dps` on average. ADX-71 knows such an effect of the supply on bias. Reference: 8 mg or 0.25 dps
-    rms over 20 s.
+    Each axis responds with its sensitivity to the supply, `per_v_g` or `per_v_dps` on average, which is given by the
+    design and scatters by a tenth from part to part. ADX-71 states an effect of the supply on the bias. Reference: 8 mg
+    or 0.25 dps rms over 20 s.
     """
 
     drift_v: float = 0.02
@@ -40,7 +40,7 @@ class SupplyDrift(Mechanism):
     scaled: ClassVar[tuple[str, ...]] = ("drift_v",)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Put one supply on all sensors; axes of one design respond with the same sign, in the sensors' own frames."""
+        """Connect one supply to all sensors; axes of one design respond with the same sign in the sensors' frames."""
         volts = self.volts(stream(board.seed, f"supply, run {board.run}"))
         of_design = stream(board.seed, f"supply of {sites[0].chip}").standard_normal(3)
         of_design *= math.sqrt(3) / float(np.linalg.norm(of_design))
@@ -70,7 +70,7 @@ class SupplyDrift(Mechanism):
 def answer(
     volts: Callable[[int], float], direction: Triple, per_v: float
 ) -> Callable[[int, Triple, WorldStimulus], Triple]:
-    """Return the contribution of a supply to one sensor."""
+    """Return a function that adds the contribution of a supply to the signal of one sensor."""
     return lambda at_ns, value, stimulus: plus(value, direction, per_v * volts(at_ns))
 
 
@@ -78,9 +78,9 @@ def answer(
 class SupplyDroop(SensorMechanism):
     """A battery whose voltage sags under load, and a sensor whose scale depends on it.
 
-    scale = 1 - `droop` (1 - exp(-t / `sag_s`)), t since power-on: polarisation of a cell under load.
+    scale = 1 - `droop` (1 - exp(-t / `sag_s`)), t since power-on: the polarisation of a cell under load.
 
-    Bias is not affected: the bridge is ratiometric, its amplifier is not. Reference: 2 % within 40 s.
+    The bias is not affected: the bridge is ratiometric, its amplifier is not. Reference: 2 % within 40 s.
     """
 
     droop: float = 0.02
@@ -105,15 +105,15 @@ class SupplyDroop(SensorMechanism):
 class BrownOut(SensorMechanism):
     """The supply dips, and the chip loses its configuration.
 
-    One dip a power-up, after an exponential time of mean `mean_s` from `WHILE_SET_UP_S` on: every register at its reset
-    value, the range the one of the EEPROM, as after power-on (BMA-52, BMA-57).
+    One dip after each power-up, after an exponentially distributed time of mean `mean_s` from `WHILE_SET_UP_S` on:
+    every register has its reset value, and the range is that of the EEPROM, as after power-on (BMA-52, BMA-57).
 
     The driver's checks may detect it. Reference: a mean of 300 s, shorter as severity grows.
     """
 
     mean_s: float = 300.0
 
-    touches: ClassVar[tuple[str, ...]] = ("bma180",)  # the others wake up silent
+    touches: ClassVar[tuple[str, ...]] = ("bma180",)  # the other chips do not measure after power-on
     resembles: ClassVar[tuple[str, ...]] = ("range_reset",)
 
     @classmethod
@@ -122,7 +122,7 @@ class BrownOut(SensorMechanism):
         return cls(mean_s=cls.mean_s / severity)
 
     def put_on(self, site: Site) -> None:
-        """Act before the chip is next addressed."""
+        """Reset the chip before it is next addressed."""
         due_ns = (WHILE_SET_UP_S + site.run_random("dip").exponential(self.mean_s)) * 1e9
         has_dipped, touched = False, site.touched.setdefault(self, set())
 
@@ -140,9 +140,10 @@ class BrownOut(SensorMechanism):
 
 @dataclass(frozen=True)
 class PowerOnStress(SensorMechanism):
-    """The stress of the die changes at each power-up, and the bias with it.
+    """The stress of the die, and therefore the bias, changes at each power-up.
 
-    Bias of each axis and power-up: Laplace's distribution of scale b (rms b sqrt 2), kept until power-off.
+    The bias of each axis is drawn at each power-up from a Laplace distribution of scale b (rms b sqrt 2) and kept until
+    power-off.
 
     Reference: b = 5 mg or 0.2 dps.
     """
@@ -154,7 +155,7 @@ class PowerOnStress(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("scale_g", "scale_dps")
 
     def put_on(self, site: Site) -> None:
-        """Draw the bias once, now."""
+        """Draw the bias once, at power-up."""
         x, y, z = site.run_random("stress").laplace(0.0, site.by_unit(self.scale_g, self.scale_dps), 3).tolist()
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -167,10 +168,10 @@ class PowerOnStress(SensorMechanism):
 class BiasCurrentDac(SensorMechanism):
     """One bit of the converter that sets the bias current has a random state after power-up.
 
-    A bias-current bit that is set in a `share` of power-ups: all three axes move at once, by `step_g` or `step_dps` on
-    average.
+    A bias-current bit that is set in a `share` of power-ups: all three axes are shifted together, by `step_g` or
+    `step_dps` on average.
 
-    Like Gyro3 of the paper's Table 7, which started in two states. Reference: 15 mg or 0.5 dps.
+    This is like Gyro3 of the paper's Table 7, which started in two states. Reference: 15 mg or 0.5 dps.
     """
 
     step_g: float = 15e-3
@@ -181,7 +182,7 @@ class BiasCurrentDac(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("step_g", "step_dps")
 
     def put_on(self, site: Site) -> None:
-        """Shift each axis by the part's own amount."""
+        """Shift each axis by an amount that depends on the part."""
         if site.run_random("bias current").random() >= self.share:
             return
         site.note("came up in the other state")
@@ -208,7 +209,7 @@ class LogCreep(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("per_decade_g", "per_decade_dps")
 
     def put_on(self, site: Site) -> None:
-        """Act by the world's clock, which starts at power-on."""
+        """Add the creep by the world's clock, which starts at power-on."""
         direction, creep = site.direction("creep"), site.by_unit(self.per_decade_g, self.per_decade_dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:

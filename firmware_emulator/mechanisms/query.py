@@ -1,7 +1,8 @@
 """Mechanisms from the parameters of a bus URL.
 
-``emulated:?units=drawn&seed=7&mechanism=mains_ripple,log_creep&severity=2,1&sensor=Gyro1|Gyro2,BMA1&run=3``: lists
-separated by commas, one entry a mechanism; the sensors of one mechanism by ``|``, none for all on which it can be put.
+``emulated:?units=drawn&seed=7&mechanism=mains_ripple,log_creep&severity=2,1&sensor=Gyro1|Gyro2,BMA1&run=3``: lists are
+separated by commas, with one entry for each mechanism. The sensors of one mechanism are separated by ``|``; an empty
+entry means all on which it can act.
 """
 
 from __future__ import annotations
@@ -34,19 +35,19 @@ def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, 
 
 
 def fitting_of(array: ArrayLike, name: str, severity: float, sensors: tuple[str, ...] = ()) -> Fitting:
-    """Return one mechanism on these sensors, or on all on which it can be put; ValueError for an unknown name."""
+    """Return one mechanism on these sensors, or on all on which it can act; ValueError for an unknown name."""
     mechanism = chosen(name, MECHANISMS, severity)
     return Fitting(mechanism, sensors or mechanism.wherever(array.sensors))
 
 
 def checked(array: ArrayLike, fitting: Fitting) -> Fitting:
-    """Return `fitting` if the mechanism can be put on those sensors; ValueError."""
+    """Return `fitting`; ValueError if the mechanism cannot act on those sensors."""
     sites_of(array, fitting)
     return fitting
 
 
 def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
-    """Return the board of the query; its notes remain in it."""
+    """Return the kind of board of the query."""
     fittings = fittings_from(query, array)
     run, units = query.get("run", "0"), query.get("units", "paper")
     if not (run.isascii() and run.isdigit()):
@@ -59,7 +60,7 @@ def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
 
 
 def split(text: str, separator: str) -> list[str]:
-    """Return the parts of a list, none of an empty one."""
+    """Return the parts of a list; an empty text has no parts."""
     return text.split(separator) if text else []
 
 

@@ -16,9 +16,9 @@ from firmware_emulator.world import STANDARD_GRAVITY, WorldStimulus, cross
 
 @dataclass(frozen=True)
 class ReferenceVoltage(SensorMechanism):
-    """The converter's reference voltage is wrong: all codes, bias and noise included, are too small.
+    """The converter's reference voltage is wrong: all codes, including bias and noise, are too small.
 
-    code = input / (1 + `error`): the reference is `error` too high. Reference size: 3 %.
+    code = input / (1 + `error`): the reference is too high by the share `error`. Reference size: 3 %.
     """
 
     error: float = 0.03
@@ -27,7 +27,7 @@ class ReferenceVoltage(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("error",)
 
     def put_on(self, site: Site) -> None:
-        """All axes share the reference."""
+        """Scale all axes alike, because they share the reference."""
         share = 1 / (1 + self.error)
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
@@ -41,7 +41,7 @@ CLOSEST = 0.8
 
 @dataclass(frozen=True)
 class PlateGap(SensorMechanism):
-    """A capacitor that is read on one side: the gap between its plates decreases with the force.
+    """A capacitor that is measured on one side: the gap between its plates decreases with the force.
 
     C = C0 / (1 - u): output = x / (1 - x / gap), where `gap_g` or `gap_dps` is the input that would close the gap.
 
@@ -60,7 +60,7 @@ class PlateGap(SensorMechanism):
         return cls(gap_g=cls.gap_g / severity, gap_dps=cls.gap_dps / severity)
 
     def put_on(self, site: Site) -> None:
-        """Act on each axis separately; a stop limits the movement of the plates."""
+        """Act on each axis separately, with a stop that limits the movement of the plates."""
         gap = site.by_unit(self.gap_g, self.gap_dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -77,7 +77,8 @@ KNEE = 8
 class SoftClipping(SensorMechanism):
     """The output stage saturates below the full scale of the converter.
 
-    output = x / (1 + |x / A|^8)^(1/8), A = `share` of the full scale: linear up to 3/4 A, never above A.
+    output = x / (1 + |x / A|^8)^(1/8), A = `share` of the full scale: it is linear up to about 3/4 A and never exceeds
+    A.
 
     Reference: half of the full scale, less as severity grows.
     """
@@ -92,7 +93,7 @@ class SoftClipping(SensorMechanism):
         return cls(share=cls.share / severity)
 
     def put_on(self, site: Site) -> None:
-        """Clip the noise with the signal."""
+        """Clip the sum of signal and noise."""
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
             limit = self.share * full_scale
@@ -104,7 +105,7 @@ class SoftClipping(SensorMechanism):
 
 @dataclass(frozen=True)
 class DriveImbalance(SensorMechanism):
-    """The mass of a gyroscope is not balanced about the line of its drive.
+    """The mass of a gyroscope is not balanced about its drive axis.
 
     error = m x f: a pendulous mass with its lever m responds to the torque of the specific force f (IEEE Std 1431).
 
@@ -132,9 +133,9 @@ class DriveImbalance(SensorMechanism):
 class VibrationRectification(SensorMechanism):
     """Asymmetric stops: vibration with zero mean changes the mean of the output.
 
-    error = c v^2, v^2 the mean square in g^2 of how far the force is from its own mean, both over `memory_s`.
+    error = c v^2, v^2 the variance of the force in g^2; variance and mean are both taken over `memory_s`.
 
-    c is `per_g2_g` or `per_g2_dps` on average of the axes (IEEE Std 836). Reference: 0.3 g/g^2 or 10 dps/g^2: a part
+    c is `per_g2_g` or `per_g2_dps`, averaged over the axes (IEEE Std 836). Reference: 0.3 g/g^2 or 10 dps/g^2: a part
     near its resonance.
     """
 
@@ -164,25 +165,25 @@ class VibrationRectification(SensorMechanism):
 
 
 NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
-"""Equivalent noise bandwidth of a second-order Butterworth filter by its cut-off: 1.11."""
+"""Equivalent noise bandwidth of a second-order Butterworth filter divided by its cut-off: 1.11."""
 Step = tuple[float, float, float, float]
 FAR_S = 0.2
-"""Evaluations that are further apart lie before and after the set-up of a chip: changes are then taken to be
-instantaneous.
+"""Longest interval between evaluations, in s, during normal polling. A longer one contains the set-up of a chip;
+changes are then assumed to be instantaneous.
 """
 
 
 @dataclass(frozen=True)
 class OutputFilter(SensorMechanism):
-    """The bandwidth of the output filter is lower than that of its register: a low-pass of second order before the
+    """The bandwidth of the output filter is lower than the configured one: a second-order low-pass acts before the
     converter.
 
     Butterworth of second order at `cutoff_hz`: x'' + sqrt(2) w x' + w^2 x = w^2 u, w = 2 pi cutoff.
 
     White noise of density D gives x an rms of D sqrt(1.11 cutoff) and the autocorrelation exp(-a t) (cos a t + sin a
-    t), a = w / sqrt(2); between two evaluations the state is propagated exactly. The stimulus is filtered too, exactly
-    if it is linear between evaluations; after a longer time without evaluations, as when another range shifts the
-    offset, it is taken to be constant at its last value. Reference: 20 Hz, narrower as severity grows.
+    t), a = w / sqrt(2); between two evaluations the state is propagated exactly. The stimulus is also filtered, exactly
+    if it is linear between evaluations. After a longer time without evaluations, for example when a change of the range
+    shifts the offset, it is assumed to have kept its last value. Reference: 20 Hz, narrower as severity grows.
     """
 
     cutoff_hz: float = 20.0
@@ -196,7 +197,7 @@ class OutputFilter(SensorMechanism):
 
     @property
     def decay(self) -> float:
-        """Return real and imaginary part of the poles, per second."""
+        """Return the magnitude of both the real and the imaginary part of the poles, per second."""
         return 2 * math.pi * self.cutoff_hz / math.sqrt(2)
 
     @property
@@ -205,7 +206,7 @@ class OutputFilter(SensorMechanism):
         return 1 / self.decay
 
     def step(self, seconds: float) -> Step:
-        """Return the transition matrix of (x, x') over that time, row by row, for an input of 0."""
+        """Return the transition matrix of (x, x') over this time, row by row, for an input of 0."""
         a = self.decay
         fade, cosine, sine = math.exp(-a * seconds), math.cos(a * seconds), math.sin(a * seconds)
         return fade * (cosine + sine), fade * sine / a, -2 * a * fade * sine, fade * (cosine - sine)
@@ -218,7 +219,7 @@ class OutputFilter(SensorMechanism):
         """Filter signal and noise separately, which is equivalent to filtering their sum."""
         random = site.run_random("filter")
         site.chain.sensed.append(self._signal())
-        # At first: noise of other mechanisms is added after the filter.
+        # First in the list, because the noise of other mechanisms is added after the filter.
         site.chain.noise.insert(0, self._noise(lambda: float(random.standard_normal())))
 
     def _signal(self) -> Callable[[int, Triple, WorldStimulus], Triple]:
@@ -285,7 +286,7 @@ class OutputFilter(SensorMechanism):
 class PipelineDelay(SensorMechanism):
     """A decimation filter with a long pipeline: the output is delayed.
 
-    The output shows the world as it was `delay_s` ago: a group delay that is not in its data sheet.
+    The output is that of the stimulus `delay_s` earlier: a group delay that the data sheet does not state.
 
     Reference: 20 ms.
     """
@@ -296,7 +297,7 @@ class PipelineDelay(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("delay_s",)
 
     def put_on(self, site: Site) -> None:
-        """Use the present temperature, which is not filtered."""
+        """Delay the stimulus except for the temperature, which is not filtered."""
         delay_ns, world = round(self.delay_s * 1e9), site.world
 
         def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:

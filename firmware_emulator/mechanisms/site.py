@@ -1,15 +1,15 @@
-"""One sensor as a mechanism acts on it: its stages, the size of the effect, and random numbers of its own.
+"""One sensor at which mechanisms act: its stages, the size of the effect, and its own random numbers.
 
 Mechanisms act on a sensing element stage by stage::
 
     world -> felt -> [the unit's own imperfections] -> sensed -> + noise -> amplified -> converter
 
-A stage is a list of functions of the instant, in ns since power-on, and of the output of the stage before. Instants
+A stage is a list of functions of the instant, in ns since power-on, and of the output of the previous stage. Instants
 never decrease for one sensor.
 
-The line between a chip's converter and the two wires is the output latch, the contacts and the cable. `ChipLine` takes
-the place of the chip and answers to its address. It knows where each chip keeps its triad (ADX-27, BMA-12, BMA-60,
-L3G-44) and which bit marks the triad as new (ADX-50, BMA-62, L3G-52).
+The line between a chip's converter and the two wires is the output latch, the contacts and the cable. `ChipLine`
+replaces the chip and answers to its address. It has the location of each chip's triad (ADX-27, BMA-12, BMA-60, L3G-44)
+and the bit that marks the triad as new (ADX-50, BMA-62, L3G-52).
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ Thermometer = Callable[[int, float], float]
 
 @dataclass
 class Chain:
-    """The stages. Data sheet units (g, dps), axes of the sensor.
+    """The stages, in data-sheet units (g, dps) and the sensor's axes.
 
     felt: (at_ns, stimulus) -> stimulus at the sensor's place. sensed: (at_ns, input, stimulus) -> input without noise.
     noise: (at_ns, noise, rms, bandwidth_hz) -> noise. amplified: (at_ns, input, full scale) -> converter's input.
-    full_scale: the full scale that the analogue part is really set to, of the one that the registers say.
-    thermometer: (at_ns, degC of the box) -> degC that the chip's own thermometer feels.
+    full_scale: full scale according to the registers -> actual full scale of the analogue part. thermometer: (at_ns,
+    degC of the box) -> degC at the chip's own thermometer.
     """
 
     felt: list[StimulusStage] = field(default_factory=list)
@@ -63,12 +63,12 @@ class MountedElement(SensingElement):
     _powered_on_ns = 0
 
     def mount(self, chain: Chain, powered_on_ns: int) -> Self:
-        """Insert the stages of `chain` between its own; their time counts from power-on. Return itself."""
+        """Insert the stages of `chain` between its own, with times from power-on, and return itself."""
         self._chain, self._powered_on_ns = chain, powered_on_ns
         return self
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
+        """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, including noise."""
         chain, gain = self._chain, 1.0
         for setting in chain.full_scale:
             actual = setting(full_scale)
@@ -84,7 +84,7 @@ class MountedElement(SensingElement):
         return total if gain == 1.0 else (total[0] * gain, total[1] * gain, total[2] * gain)
 
     def temperature(self, at_ns: int) -> float:
-        """Return the temperature of the chip's own thermometer, its offset included, in degC."""
+        """Return the temperature of the chip's own thermometer in degC, including its offset."""
         degc = self._world(at_ns).temperature_degc
         for thermometer in self._chain.thermometer:
             degc = thermometer(at_ns - self._powered_on_ns, degc)
@@ -140,7 +140,8 @@ class Links:
     """The disturbances of a line, each a function of the instant in ns since power-on.
 
     latches: (at_ns, codes) -> codes as they are read. contacts: (at_ns) -> whether the chip is connected at all.
-    cables: (at_ns, bytes sent) -> bytes received. resets: (at_ns) -> when the supply failed since last asked, or None.
+    cables: (at_ns, bytes sent) -> bytes received. resets: (at_ns) -> time of a supply failure since the previous call,
+    or None.
     """
 
     latches: list[Latch] = field(default_factory=list)
@@ -150,7 +151,7 @@ class Links:
 
     @property
     def idle(self) -> bool:
-        """True if nothing acts."""
+        """True if there is no disturbance."""
         return not (self.latches or self.contacts or self.cables or self.resets)
 
 
@@ -188,7 +189,7 @@ class ChipLine:
         return self._chip.write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read the chip, the triad through the latches, all bytes through the cable."""
+        """Read the chip: the triad passes through the latches, all bytes pass through the cable."""
         answer = self._chip.read(count, at_ns, byte_ns)
         at_ns -= self._powered_on_ns
         offset = self._layout.first - self._pointer
@@ -218,8 +219,7 @@ ACCELEROMETERS = ("adxl345", "bma180")
 GYROSCOPES = ("l3g4200d",)
 INERTIAL = ACCELEROMETERS + GYROSCOPES
 WHILE_SET_UP_S = 5.0
-"""Time after power-on from which on faults of the wiring begin: an array whose chips can't be set up is never
-logged.
+"""Time after power-on in s at which faults of the wiring begin, so that the chips can be set up and the log can start.
 """
 
 
@@ -229,9 +229,9 @@ class Site:
 
     `world` is a function of ns since power-on, like all functions of mechanisms.
 
-    `run` counts the times that the array was powered up, from 0. `chain` and `links` are where mechanisms act on its
-    signal and on its wiring; `kinds` changes the chip itself, `switches` its keyword arguments; `notes` collects events
-    for the sealed truth, and `touched` the affected sensors, for mechanisms that affect random ones.
+    `run` is the number of the power-up, from 0. Mechanisms act on the signal by `chain` and on the wiring by `links`;
+    `kinds` changes the chip itself, `switches` its keyword arguments; `notes` collects events for the sealed truth, and
+    `touched` the affected sensors, for mechanisms that affect random ones.
     """
 
     name: str
@@ -253,23 +253,23 @@ class Site:
         return g if SENSED[self.chip][0] == "force_box" else dps
 
     def unit_random(self, key: str) -> np.random.Generator:
-        """Return random numbers of this part, the same after every power-up."""
+        """Return a random generator of this part, the same after every power-up."""
         return stream(self.seed, f"{key} in {self.name}")
 
     def run_random(self, key: str) -> np.random.Generator:
-        """Return random numbers of this part and this power-up."""
+        """Return a random generator of this part and this power-up."""
         return stream(self.seed, f"{key} in {self.name}, run {self.run}")
 
     def direction(self, key: str) -> Triple:
-        """Return how strongly each axis of this part is affected: a random direction of length sqrt(3), so that axes
-        are 1 on average.
+        """Return the relative effect on each axis of this part: a random direction of length sqrt(3), so that the rms
+        over the axes is 1.
         """
         vector = self.unit_random(f"direction of {key}").standard_normal(3)
         x, y, z = (vector * (math.sqrt(3) / float(np.linalg.norm(vector)))).tolist()
         return x, y, z
 
     def note(self, event: str) -> None:
-        """Add an event to the truth, which happened at this sensor."""
+        """Add an event at this sensor to the truth."""
         self.notes.append(f"{self.name}: {event}")
 
 

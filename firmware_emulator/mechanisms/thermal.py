@@ -16,8 +16,8 @@ from firmware_emulator.world import ROOM_DEGC, WorldStimulus
 class ThermistorBow(SensorMechanism):
     """The temperature compensation is linear, the physical dependence is not: a quadratic residual remains.
 
-    error = d (T - 25)^2, d on each axis `bow_g_per_k2` or `bow_dps_per_k2` on average. Reference: 50 ug/K^2 (20 mg at
-    45 degC) or 1.5 mdps/K^2.
+    error = d (T - 25)^2, d is `bow_g_per_k2` or `bow_dps_per_k2`, averaged over the axes. Reference: 50 ug/K^2 (20 mg
+    at 45 degC) or 1.5 mdps/K^2.
     """
 
     bow_g_per_k2: float = 50e-6
@@ -27,7 +27,7 @@ class ThermistorBow(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("bow_g_per_k2", "bow_dps_per_k2")
 
     def put_on(self, site: Site) -> None:
-        """Act with a sign and share of each axis that depend on the part."""
+        """Add the error to each axis with a sign and share that depend on the part."""
         direction, bow = site.direction("bow"), site.by_unit(self.bow_g_per_k2, self.bow_dps_per_k2)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -40,7 +40,7 @@ class ThermistorBow(SensorMechanism):
 class GainResistor(SensorMechanism):
     """The resistor that sets the amplifier's gain changes with temperature.
 
-    gain = exp(k (T - 25)), k = `per_k` as of a diffused resistor, the same for all axes. Reference: 0.1 % per K.
+    gain = exp(k (T - 25)), k = `per_k` as for a diffused resistor, the same for all axes. Reference: 0.1 % per K.
     """
 
     per_k: float = 1e-3
@@ -49,7 +49,7 @@ class GainResistor(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("per_k",)
 
     def put_on(self, site: Site) -> None:
-        """Amplify the bias too."""
+        """Amplify the whole signal, including the bias."""
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             gain = math.exp(self.per_k * (stimulus.temperature_degc - ROOM_DEGC))
@@ -64,8 +64,8 @@ class BoardToDie(SensorMechanism):
 
     Two nodes: board dTb/dt = (T - Tb) / `board_s`, die dTd/dt = (Tb - Td) / `die_s`; bias follows Td.
 
-    The chip's thermometer, near the pads, shows Tb. Under a ramp of T it lags by board_s, the bias by board_s + die_s.
-    Reference: 6 s and 2 s.
+    The chip's thermometer, near the pads, measures Tb. During a ramp of T it lags by board_s, the bias by board_s +
+    die_s. Reference: 6 s and 2 s.
     """
 
     board_s: float = 6.0
@@ -98,7 +98,8 @@ class BoardToDie(SensorMechanism):
 class SelfHeating(SensorMechanism):
     """Self-heating of a chip: its thermometer, near the regulator on the die, is warmer than the box.
 
-    The chip's thermometer shows T + `rise_k` (1 - exp(-t / `settling_s`)), t since power-on; bias follows the mass, T.
+    The chip's thermometer measures T + `rise_k` (1 - exp(-t / `settling_s`)), t since power-on; the bias follows the
+    temperature T of the mass.
 
     rise = power x thermal resistance; only chips whose thermometer has a zero. Reference: 3 K after 5 s.
     """
@@ -111,7 +112,7 @@ class SelfHeating(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("rise_k",)
 
     def put_on(self, site: Site) -> None:
-        """Act on the thermometer only."""
+        """Change only the temperature of the thermometer."""
 
         def thermometer(at_ns: int, degc: float) -> float:
             return degc - self.rise_k * math.expm1(-at_ns * 1e-9 / self.settling_s)
@@ -125,8 +126,8 @@ class ThermalHysteresis(SensorMechanism):
 
     error = s (p - T), p following T with a backlash of +-w kelvin (Prandtl's play operator), w = `backlash_k`.
 
-    p starts at the first temperature. Warming long enough gives -s w, cooling +s w, however slowly. s w is `size_g` or
-    `size_dps` on average of the axes. Reference: 10 mg or 0.3 dps, 3 K.
+    p starts at the first temperature. After sufficient warming the error is -s w, after sufficient cooling +s w, at any
+    rate of change. s w is `size_g` or `size_dps`, averaged over the axes. Reference: 10 mg or 0.3 dps, 3 K.
     """
 
     size_g: float = 10e-3
@@ -135,7 +136,7 @@ class ThermalHysteresis(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("size_g", "size_dps")
 
     def put_on(self, site: Site) -> None:
-        """Act with a sign and share of each axis that depend on the part."""
+        """Add the error to each axis with a sign and share that depend on the part."""
         direction, width = site.direction("hysteresis"), self.backlash_k
         per_k = site.by_unit(self.size_g, self.size_dps) / width
         follower: float | None = None

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 class CableBitErrors(SensorMechanism):
     """A cable that is too long for its pull-ups: the adapter sometimes samples a bit on the edge.
 
-    Every bit that the chip sends arrives inverted with probability `per_bit`, which acknowledges do not detect.
+    Every bit that the chip sends is inverted with probability `per_bit`; acknowledges do not detect this.
 
-    I2C has no checksum. Only bytes from the chip are affected: the adapter drives its own bits more strongly. Begins
-    `WHILE_SET_UP_S` after power-on. Reference: 1e-5, some one in 2000 readings.
+    I2C has no checksum. Only bytes from the chip are affected: the adapter drives its own bits more strongly. It begins
+    `WHILE_SET_UP_S` after power-on. Reference: 1e-5, about one in 2000 readings.
     """
 
     per_bit: float = 1e-5
@@ -38,7 +38,7 @@ class CableBitErrors(SensorMechanism):
         return cls(per_bit=min(0.5, cls.per_bit * severity))
 
     def put_on(self, site: Site) -> None:
-        """Invert bits of the bytes that arrive."""
+        """Invert bits of the received bytes."""
         random = site.run_random("bits")
         gap = int(random.geometric(self.per_bit))
         begin_ns = round(WHILE_SET_UP_S * 1e9)
@@ -59,11 +59,13 @@ class CableBitErrors(SensorMechanism):
 
 @dataclass(frozen=True)
 class LooseContact(SensorMechanism):
-    """A loose plug: the chip is disconnected for moments.
+    """A loose plug: the chip is disconnected for short times.
 
-    Closed for `closed_s` on average, then open for `open_s`, both exponential (Gilbert 1960).
+    The contact is closed for `closed_s` on average and then open for `open_s` on average, both exponentially
+    distributed (Gilbert 1960).
 
-    No message is acknowledged while it is open. Begins `WHILE_SET_UP_S` after power-on. Reference: 50 ms in every 10 s.
+    No message is acknowledged while it is open. It begins `WHILE_SET_UP_S` after power-on. Reference: 50 ms in every 10
+    s.
     """
 
     open_s: float = 0.05
@@ -89,11 +91,12 @@ class LooseContact(SensorMechanism):
 
 @dataclass(frozen=True)
 class MuxHang(Mechanism):
-    """The multiplexer sometimes acknowledges a command without switching: twins on the other channel answer.
+    """The multiplexer sometimes acknowledges a command without switching: a sensor with the same address on the other
+    channel answers.
 
-    A `share` of the commands has no effect; a sensor without a twin at its address on the other channel does not
-    acknowledge, a twin answers for the others, which are its sensors in the truth. Begins `WHILE_SET_UP_S` after
-    power-on. Reference: 0.5 % of the commands.
+    A `share` of the commands has no effect. A sensor without a twin at its address on the connected channel then does
+    not acknowledge; for a sensor with a twin, the twin answers. The truth names the sensors that have a twin. It begins
+    `WHILE_SET_UP_S` after power-on. Reference: 0.5 % of the commands.
     """
 
     share: float = 0.005
@@ -107,13 +110,13 @@ class MuxHang(Mechanism):
         return cls(share=min(0.5, cls.share * severity))
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
-        """Return the sensors that have a twin: the same chip at the same address of another channel."""
+        """Return the sensors that have a twin: the same chip at the same address on another channel."""
         places = Counter((sensor.chip, sensor.address) for sensor in sensors if sensor.channel is not None)
         touched = [sensor for sensor in sensors if sensor.chip in self.touches]
         return tuple(sensor.name for sensor in touched if places[sensor.chip, sensor.address] > 1)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Act at the STOP of a command."""
+        """Ignore commands at their STOP, and note the affected sensors."""
         random, begin_ns = stream(board.seed, f"multiplexer, run {board.run}"), round(WHILE_SET_UP_S * 1e9)
 
         def obeys(at_ns: int) -> bool:
@@ -129,7 +132,9 @@ class MuxHang(Mechanism):
 
 
 def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
-    """Return readings unchanged; the sensor in whose place they are read while the switch hangs is `touched`."""
+    """Return a latch that does not change readings. If it is read while the switch hangs, it adds the sensor that
+    should have been read to `touched`.
+    """
     own_sensor = board.sensors[site.name]
     twins = {
         config.channel: name
@@ -150,12 +155,12 @@ LONG_AGO_NS = -(1 << 62)
 
 @dataclass(frozen=True)
 class MuxCrosstalk(Mechanism):
-    """The multiplexer's switch disturbs the supply: conversions just after it have an error.
+    """Switching of the multiplexer disturbs the supply: conversions shortly after it have an error.
 
-    error = k exp(-t / `decay_ms`), t since the last switch, k `kick_g` or `kick_dps` on average of the axes.
+    error = k exp(-t / `decay_ms`), t since the last switching, k is `kick_g` or `kick_dps`, averaged over the axes.
 
-    It affects sensors that are read early in a segment, in frames that reach the segment by a switch. Reference: 20 mg
-    or 0.6 dps, 2 ms.
+    It affects sensors that are read early in a segment, in frames in which the multiplexer switches to this segment.
+    Reference: 20 mg or 0.6 dps, 2 ms.
     """
 
     kick_g: float = 20e-3
@@ -164,7 +169,7 @@ class MuxCrosstalk(Mechanism):
     scaled: ClassVar[tuple[str, ...]] = ("kick_g", "kick_dps")
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Connect every site to one multiplexer."""
+        """Connect every site to the multiplexer."""
         switched_ns = LONG_AGO_NS
 
         def switched(at_ns: int) -> None:
