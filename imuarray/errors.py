@@ -83,6 +83,10 @@ class LogBusyError(LogError):
         super().__init__(f"{path}: is being written by another process; wait until it ends, or choose another name")
 
 
+NOTHING_RECORDED = "nothing was recorded; free space or choose another disk"
+"""The usual end of a DiskFullError."""
+
+
 class DiskFullError(LogError):
     """The disk is full, or nearly full, and nothing more can be written; a log that was begun keeps its acknowledged
     rows.
@@ -94,7 +98,7 @@ class DiskFullError(LogError):
         self,
         path: str | PathLike[str],
         why: str,
-        kept: str = "nothing was recorded; free space or choose another disk",
+        kept: str = NOTHING_RECORDED,
     ) -> None:
         """`kept` states what was saved before the error."""
         self.path, self.why, self.kept = path, why, kept
@@ -129,10 +133,13 @@ class OutputExistsError(ImuArrayError):
 
 
 class OutputError(ImuArrayError):
-    """An output that can't be written, with the reason from the system; no partial file is left."""
+    """An output that can't be written, with the reason from the system; no partial file is left. A `remark` states
+    which other files are missing.
+    """
 
-    def __init__(self, path: str | PathLike[str], error: Exception) -> None:
-        super().__init__(f"{path}: can't be written: {reason_of(error)}")
+    def __init__(self, path: str | PathLike[str], error: Exception, remark: str = "") -> None:
+        super().__init__(f"{path}: can't be written: {reason_of(error)}{f'; {remark}' if remark else ''}")
+        self.path, self.error = path, error
         self.exit_code = 3 if errno_of(error) in NO_ROOM else 2
 
 

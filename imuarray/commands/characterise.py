@@ -23,7 +23,7 @@ from imuarray.commands.options import (
     refuse_existing,
     takes,
 )
-from imuarray.errors import ImuArrayError, MissingExtraError, OutputExistsError
+from imuarray.errors import ImuArrayError, MissingExtraError, OutputError, OutputExistsError
 
 if TYPE_CHECKING:
     from imuarray.characterise.allan import Estimator
@@ -127,7 +127,7 @@ def _files() -> list[str]:
 
 def _write(result: dict[str, Any], output: Path) -> list[Path]:
     """Write the result and its figures into `output`, and return the files; without matplotlib, print that there are no
-    figures.
+    figures. The error of a figure that cannot be written names those that are missing.
     """
     from imuarray.characterise.plots import FIGURES
 
@@ -136,7 +136,13 @@ def _write(result: dict[str, Any], output: Path) -> list[Path]:
         output.mkdir(parents=True, exist_ok=True)
         write_text(paths[0], json_text(result) + "\n", force=True)
         for name, draw in FIGURES.items():
-            save_figure(output / name, draw(result), metadata={"Software": None})
+            figure = draw(result)
+            try:
+                save_figure(output / name, figure, metadata={"Software": None})
+            except OutputError as error:
+                missing = ", ".join(list(FIGURES)[len(paths) - 1 :])
+                remark = f"{RESULT} is written, but not {missing} and the Kalibr files"
+                raise OutputError(error.path, error.error, remark) from None
             paths.append(output / name)
     except MissingExtraError as error:
         click.echo(f"imuarray: no figures: {error}", err=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +25,7 @@ from imuarray.commands.options import (
     refuse_other_suffix,
     takes,
 )
-from imuarray.errors import LogError
+from imuarray.errors import NOTHING_RECORDED, DiskFullError, LogError
 from imuarray.importers import FORMATS
 from imuarray.printable import counted, printable
 from imuarray.shipped import find_map
@@ -93,7 +95,7 @@ def command(options: ImportOptions) -> None:
     refuse_other_suffix(options.output, "a log")
     refuse_existing(options.output, options.force)
     size = options.source.stat().st_size if options.source.is_file() else 0
-    with progress(size, str(options.source)) as set_progress:
+    with progress(size, str(options.source)) as set_progress, _disk_errors():
         if options.map_path is not None:
             map_file = find_map(options.map_path)
             summary = import_table(
@@ -109,6 +111,18 @@ def command(options: ImportOptions) -> None:
                 options.source, options.output, force=options.force, progress=set_progress
             )
     _print_result(summary, options.output, options.as_json)
+
+
+@contextmanager
+def _disk_errors() -> Iterator[None]:
+    """State of an import for which there is no space that nothing was imported, where a log says "recorded"."""
+    try:
+        yield
+    except DiskFullError as error:
+        if error.kept != NOTHING_RECORDED:
+            raise
+        kept = NOTHING_RECORDED.replace("recorded", "imported")
+        raise DiskFullError(error.path, error.why, kept) from error
 
 
 def _is_log(source: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
 import sys
@@ -10,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.characterise import Characterisation, characterise_log
+from imuarray.characterise import Characterisation, characterise_log, plots
 from imuarray.characterise.plots import COLOURS, allan_figure
 from imuarray.cli import main
+from imuarray.commands import characterise
 from imuarray.commands.characterise import json_text
-from imuarray.errors import MissingExtraError
+from imuarray.errors import MissingExtraError, OutputError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.report.files import write_report
@@ -53,6 +55,24 @@ def test_the_command_writes_files_and_overwrites_only_with_force(
     assert (folder / "characterise.json").read_text() == "mine"
     assert main([*arguments, "--force"]) == 0
     assert (folder / "characterise.json").read_text() != "mine"
+
+
+def test_the_error_of_a_figure_names_the_files_that_are_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def save(path: Path, *_: object, **__: object) -> None:
+        if path.name == "b.png":
+            raise OutputError(path, OSError(errno.ENOSPC, ""))
+
+    monkeypatch.setattr(characterise, "save_figure", save)
+    monkeypatch.setattr(plots, "FIGURES", dict.fromkeys(("a.png", "b.png", "c.png"), lambda result: None))
+    with pytest.raises(OutputError) as error:
+        characterise._write({}, tmp_path)
+    assert str(error.value) == (
+        f"{tmp_path / 'b.png'}: can't be written: No space left on device; "
+        "characterise.json is written, but not b.png, c.png and the Kalibr files"
+    )
+    assert error.value.exit_code == 3
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from imuarray.cli import main
+from imuarray.errors import DiskFullError
 from imuarray.importers.mapping import load_map
 from imuarray.log import open_log
 
@@ -44,6 +45,24 @@ def test_the_example_map_reads_the_table_in_its_comments(tmp_path: Path, capsys:
         assert log["BMA1"].time[:].tolist() == [0, 10_000_000]
         assert [(phase.name, phase.up) for phase in log.phases] == [("z_up", "+Z")]
     assert load_map(EXAMPLE).file == load_map(EXAMPLE).file.__class__()
+
+
+@pytest.mark.parametrize(
+    ("kept", "remark"),
+    [
+        ((), "nothing was imported; free space or choose another disk"),
+        (("all acknowledged rows are in the log",), "all acknowledged rows are in the log"),
+    ],
+)
+def test_a_full_disk_is_an_error_of_the_import(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: tuple[str, ...], remark: str
+) -> None:
+    def import_file(source: Path, output: Path, **_: object) -> None:
+        raise DiskFullError(output, "no space left on the disk", *kept)
+
+    monkeypatch.setattr("imuarray.importers.mimu4444.import_file", import_file)
+    assert main(["import", str(EXTRACT), "--format", "mimu4444", "-o", "none.h5"]) == 3
+    assert capsys.readouterr().err == f"imuarray: none.h5: no space left on the disk; {remark}\n"
 
 
 @pytest.mark.parametrize(
