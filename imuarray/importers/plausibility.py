@@ -154,6 +154,11 @@ SAME_SCALE = 1.4
 LISTED = 3
 """Maximum number of sensors of a quantity that are reported one by one."""
 
+MOST_OF_A_TIME = 4.0
+"""Mean number of rows with the same time from which on the times are doubted: a clock of milliseconds gives two rows of
+a fast chip the same time, and one of seconds hides the rate.
+"""
+
 LOST_ROW = 1.5
 """Shortest gap that a single lost row can leave, in usual intervals."""
 
@@ -257,7 +262,11 @@ class _Examination:
         """Examine the times, the codes and the level of a triad."""
         timing, codes = row_timing(sensor), _Codes(sensor)
         interpolation = find_interpolation(sensor)
-        self.quirks.add_all(sensor.name, _times(sensor, timing))
+        if shares_times(timing.kind, timing.usual_s):
+            is_doubtful = timing.rows > MOST_OF_A_TIME * (timing.gaps + 1)
+            (self.doubts if is_doubtful else self.quirks).add(sensor.name, _shared_times(timing))
+        else:
+            self.quirks.add_all(sensor.name, _times(sensor, timing))
         self.quirks.add_all(sensor.name, [] if interpolation is None else [interpolation.sentence])
         self.quirks.add_all(sensor.name, [*find_filters(sensor), *codes.quirks()])
         of_rate = list(_rate(timing))
@@ -276,10 +285,8 @@ class _Examination:
 
 
 def _times(sensor: SensorLog, timing: RowTiming) -> Iterator[str]:
-    """Yield what is unusual in the times of a sensor's rows."""
-    if shares_times(timing.kind, timing.usual_s):
-        yield _shared_times(timing)
-    elif timing.sentence:
+    """Yield what is unusual in the times of a sensor's rows, which are not shared by several."""
+    if timing.sentence:
         hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
         yield timing.sentence + hint
     elif text := rate_change_sentence(find_rate_changes(sensor)) or _missing_rows(sensor, timing):

@@ -18,6 +18,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Integers, Times
 from imuarray.log import SensorLog
 from imuarray.log.format import LOST_BEFORE
+from imuarray.printable import percent
 
 Kind = Literal["steady", "stalls", "bursts"]
 
@@ -53,6 +54,11 @@ LOST_SHARE = 0.5
 
 SAME = 0.8
 """Least share of gaps with the same number of rows between them for stalls to have a period."""
+
+IRREGULAR = 0.1
+"""Share of the intervals that are gaps, without a period, from which on the intervals are called irregular and not
+stalls.
+"""
 
 _STAMPED_TOGETHER = 100.0
 """Usual rate of rows, relative to the average rate, from which on rows are stamped together: a gap is then an interval
@@ -93,6 +99,12 @@ class RowTiming:
     @property
     def sentence(self) -> str:
         """Describe the timing for the reader of a log; "" if it is steady."""
+        if self.kind == "stalls" and not self.period_rows and self.gaps > IRREGULAR * (self.rows - 1):
+            return (
+                f"intervals between rows are irregular: {1e3 * self.usual_s:.3g} ms in the median, but "
+                f"{1e3 * self.gap_s:.3g} ms in the median of the longest {percent(self.gaps / (self.rows - 1))}; the "
+                f"mean rate is {self.rate_hz:.4g} Hz"
+            )
         if self.kind == "stalls":
             pattern = f" after every {self.period_rows} rows" if self.period_rows else f", {self.gaps} times"
             return (

@@ -270,9 +270,9 @@ def test_rows_with_equal_times_are_reported(tmp_path: Path) -> None:
     text, path = imported(source, tmp_path)
     assert "ties = true" in text
     with open_log(path) as log:
-        quirks = " ".join(report_of(log).quirks)
-    assert "several rows have the same time, and the next time is 0.2 s later" in quirks
-    assert "in bursts" not in quirks
+        report = report_of(log)
+    assert "several rows have the same time, and the next time is 0.2 s later" in " ".join(report.doubts)
+    assert "in bursts" not in " ".join([*report.doubts, *report.quirks])
 
 
 def quantities(path: Path) -> dict[str, tuple[str, int, np.ndarray]]:

@@ -603,6 +603,21 @@ def test_late_rows_are_not_reported_as_missing(
     assert "missing" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("rows", "mark"), [(3, "~"), (6, "?")])
+def test_times_that_many_rows_share_are_doubted(
+    rows: int, mark: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So many rows have the same time, and those of the next one are 20 ms later."""
+    counts = np.rint(np.random.default_rng(4).normal([0, 0, 4096], 9, (600, 3))).astype(int)
+    (tmp_path / "data.csv").write_bytes(
+        joined(["t,ax,ay,az", *lines_of(np.arange(600) // rows * 0.02, counts, "{:d}")])
+    )
+    (tmp_path / "map.toml").write_text(SECONDS.replace('"s"', '"s"\nties = true') + ACC, encoding="utf-8")
+    arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    assert f"  {mark} Acc: several rows have the same time, and the next time is 0.02 s" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("axes", "doubted"), [("+X+Y+Z", True), ("+X-Y-Z", False)])
 def test_an_accelerometer_mounted_upside_down_is_reported(
     axes: str, doubted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -90,6 +90,18 @@ def test_stalls_without_a_period_are_counted(tmp_path: Path, share: float, perio
     assert ("59 times" in timing.sentence) == (period_rows == 0)
 
 
+@pytest.mark.parametrize(("every", "is_irregular"), [(9, True), (11, False)])
+def test_frequent_gaps_without_a_period_are_irregular_intervals(tmp_path: Path, every: int, is_irregular: bool) -> None:
+    """One interval in so many is 40 ms and the others 10 ms, in random order: of every ninth, 879 of 10 ms and 110 of
+    40 ms between the first row and the last, or 989 rows in 13.19 s.
+    """
+    intervals_s = np.where(np.arange(990) % every == 0, 0.04, 0.01)
+    timing = timing_of(tmp_path / "log.h5", np.cumsum(np.random.default_rng(2).permutation(intervals_s)))
+    assert timing.sentence.startswith("intervals between rows are irregular: 10 ms in the median") == is_irregular
+    assert ("40 ms in the median of the longest 11 %; the mean rate is 74.98 Hz" in timing.sentence) == is_irregular
+    assert ("rows stall for 0.04 s" in timing.sentence) != is_irregular
+
+
 @pytest.mark.parametrize(
     ("stalls", "stall_s", "kind"),
     [
