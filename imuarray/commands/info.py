@@ -147,6 +147,8 @@ def _print(summary: dict[str, Any]) -> None:
         _print_line(f"  {summary['state']}: {readable} are shown{hint}")
     for loss in summary["losses"]:
         _print_line(f"  {loss}")
+    if imported:
+        _print_line(f"  `imuarray report {summary['log']} -o report.html` lists the doubts about the import, if any")
     if summary["frame_rate_hz"]:
         missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
         _print_line(f"  {summary['frame_rate_hz']:g} frames per second requested{missed}")
