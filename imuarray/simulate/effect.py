@@ -3,9 +3,9 @@
 The chain of one sensor, in physical order::
 
     instants  ->  felt  ->  analog  ->  codes
-    when          what      the element's     what the bus
-    is sampled    the box   signal, before    delivers
-                  feels     the converter
+    times of      force,    the element's     codes on
+    the readings  rate,     signal, before    the bus
+                  field     the converter
 
 An effect overrides the stages at which it acts; within a stage effects act in the order of `EFFECTS`. An effect made
 without arguments does nothing: every default is the parameter's harmless value.

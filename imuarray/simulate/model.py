@@ -4,7 +4,7 @@
 
     [model]      name  about
     [[design]]   chip  range  noise_bandwidth_hz             what units of this chip look like, at this range
-    [[sensor]]   name  chip  range  noise_bandwidth_hz       one known unit; a chip we don't drive says its unit
+    [[sensor]]   name  chip  range  noise_bandwidth_hz       one known unit; a chip without a driver states its unit
                  [design.bias], [[sensor.tone]], ...         its effects; several of a kind as an array of tables
 
 For each effect, a sensor uses the first of these tables that has it: its [[sensor]] at its range, its [[sensor]] at any

@@ -1,4 +1,4 @@
-"""A simulation written as a log: the same columns, attributes and phases as a recorded one, `/truth` beside them."""
+"""A simulation written as a log, with the same columns, attributes and phases as a recorded one, and with `/truth`."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class OdrError(Effect):
 
     `rate_hz` is the real data rate, `bandwidth_hz` the real bandwidth of the noise; nan: as configured. The bandwidth
     of an ADXL345 is half its rate (ADX-32 ... ADX-35), for its noise at least that of 100 Hz (ADX-68). At 1600 Hz and
-    above its lowest bit is always 0 (ADX-47, which does not say how it rounds; the nearest even code is used here). The
+    above its lowest bit is always 0 (ADX-47, which does not state the rounding; the nearest even code is assumed). The
     bandwidth of other chips stays as configured unless it is given. If the registers are right but the oscillator runs
     at `clock_ratio` times its rate, codes remain those of the configured rate, and so does the noise, because a filter
     that runs on the same clock averages as many readings. The paper's ADXL345s give even codes only, and more noise

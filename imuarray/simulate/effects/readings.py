@@ -77,14 +77,14 @@ class StaleSamples(Effect):
 GLITCH_KINDS = ("spike", "torn", "word")
 
 _WORD = -32768, 32767
-"""Number of values of two bytes, independent of the chip's range."""
+"""Lowest and highest value of two bytes, independent of the chip's range."""
 
 _LOW_BITS = {"bma180": 6}
 """Number of bits of the code in the low byte, of chips for which it is not eight (BMA-60)."""
 
 
 def high_byte(chip: str) -> int:
-    """Return the counts that one unit of the high byte stands for."""
+    """Return the number of counts of one unit of the high byte."""
     return 1 << _LOW_BITS.get(chip, 8)
 
 
@@ -296,7 +296,7 @@ SWAP_KINDS = ("data", "counts", "place")
 
 @dataclass(frozen=True)
 class ChannelSwap(Effect):
-    """The readings are those of the sensor named by `sensor`; "" for the sensor itself. `kind` says how this happens.
+    """The readings are those of the sensor named by `sensor`; "" for the sensor itself. `kind` is the mechanism.
 
     "data": each row holds the data of the other sensor. Counts, temperature and freshness are those of the other chip;
     range, sensitivity and axes remain as configured. A multiplexer that switches one transaction late causes this

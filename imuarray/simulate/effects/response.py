@@ -91,10 +91,10 @@ class AxisError(Effect):
 class Misalignment(Effect):
     """y = D x, row i of D the unit vector along e_i + sum over j of tan(angle_ij) e_j.
 
-    `angles_deg` in degrees, in the order xy, xz, yx, yz, zx, zy: by how much axis i leans towards axis j. Angles of
-    opposite sign for ij and ji turn the triad as a whole (alignment to the package: BMA-119, ADX-66; of the boards:
-    less than 5 degrees, the paper's section 5.2.1), equal ones make it oblique (cross-axis sensitivity: BMA-118,
-    ADX-66). In data: on each face, a share sin(angle) of gravity in the axes that should read 0.
+    `angles_deg` in degrees, in the order xy, xz, yx, yz, zx, zy: the angle by which axis i is tilted towards axis j.
+    Angles of opposite sign for ij and ji turn the triad as a whole (alignment to the package: BMA-119, ADX-66; of the
+    boards: less than 5 degrees, the paper's section 5.2.1), equal ones make it oblique (cross-axis sensitivity:
+    BMA-118, ADX-66). In data: on each face, a share sin(angle) of gravity in the axes that should read 0.
     """
 
     name: ClassVar[str] = "misalignment"
@@ -149,8 +149,8 @@ class Nonlinearity(Effect):
 class Scale(Effect):
     """y = x (1 + error) for each axis separately.
 
-    `error` is relative: with 0.01 the readings are one per cent too large. Typical ones: 1 % (ADX-63), 2 and 3 % (the
-    tolerances beside BMA-70 to BMA-76); L3G-75 states none. The paper's Table 3 has -1.7 to +2.9 % for its eighteen
+    `error` is relative: with 0.01 the readings are one per cent too large. Typical values are 1 % (ADX-63) and 2 to 3 %
+    (the tolerances with BMA-70 to BMA-76); L3G-75 states none. The paper's Table 3 has -1.7 to +2.9 % for its eighteen
     accelerometer axes. In data: opposite faces differ by more or less than 2 g, and the integral over a known turn is
     not its angle.
     """

@@ -60,8 +60,8 @@ def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
 
 
 def shortest_turn(up_before: str, up_after: str) -> Reals:
-    """Return (3,) rotation vector (rad, box frame) of the shortest turn that brings `up_after` up; half a turn goes
-    about X, or about Y where X is upright. ValueError unless both are box axes ("+X").
+    """Return (3,) rotation vector (rad, box frame) of the shortest turn that brings `up_after` up; half a turn is about
+    X, or about Y if X is upright. ValueError unless both are box axes ("+X").
     """
     before, after = np.array(up_vector(up_before)), np.array(up_vector(up_after))
     axis = np.cross(after, before)

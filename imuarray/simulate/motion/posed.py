@@ -243,7 +243,7 @@ _LEAST_SINE = float(np.finfo(float).tiny)
 
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:
     """Return (k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from
-    upright (half a turn goes about X).
+    upright (half a turn is about X).
     """
     from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 

@@ -6,7 +6,7 @@ The file is comma-separated, with one header row and times in seconds; lines tha
     x_m, y_m, z_m                                     place in a level frame, z up, and its attitude:
         roll_deg, pitch_deg, yaw_deg                      Rz(yaw) Ry(pitch) Rx(roll), or
         qw, qx, qy, qz                                    vector_level = R(q) vector_box
-    force_x_mps2, force_y_mps2, force_z_mps2          or what the box felt, along its own axes:
+    force_x_mps2, force_y_mps2, force_z_mps2          or the stimulus along the axes of the box:
         rate_x_dps, ...  or  rate_x_radps, ...            specific force, and angular rate
     temperature_degc                                  optional; 25 without
 """
