@@ -35,10 +35,10 @@ class Put:
 
 @dataclass(frozen=True)
 class Case:
-    """One case. `number` counts within a half; `plan` names what is recorded (`PLANS`, or the experiments of a world);
-    `puts` are the active mechanisms; `seed` draws units, noise and events. `without` are effects withheld from the
-    library of causes, `extra` is the table of an effect that only the model has, and `resembles` lists the correct
-    effect names of each of `puts`.
+    """One case. `number` counts within a half; `plan` is the name of the recording plan (`PLANS`, or the experiments of
+    a world); `puts` are the active mechanisms; `seed` draws units, noise and events. `without` are effects withheld
+    from the library of causes, `extra` is the table of an effect that only the model has, and `resembles` lists the
+    correct effect names of each of `puts`.
 
     `world` names the origin: "" for the fixed plans of the emulated bench, "emulator" for a random world drawn from the
     seed `draw`, otherwise the name given in the folder `source`. `is_hidden`: the plan cannot show the mechanism.

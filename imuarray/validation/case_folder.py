@@ -7,16 +7,16 @@
 
 A truth is one object of JSON; keys in brackets are optional:
 
-    kind         "control": nothing is wrong; "effect"; "unknown": an effect that no library names; "pair": two effects
-    effects      a list (empty of a control) of
-        effect       what its maker calls it
-        design_name  the effect of the library that it is, null if it has no name there; [also_called]: a list of others
-        sensors      the names of those that have it, [] all
-        [axes]       of these, "x", "y", "z"; all if missing
-        [severity]   its size in detection limits, null if it is there or not
-    [world]      who made it: "foreign" (the default), "real", ...
+    kind         "control": no effect; "effect"; "unknown": an effect that no library names; "pair": two effects
+    effects      a list (empty for a control) of
+        effect       its name in the source of the case
+        design_name  its name in the library, null if it has none there; [also_called]: a list of other names
+        sensors      the names of the affected sensors, [] for all
+        [axes]       the affected axes, "x", "y", "z"; all if missing
+        [severity]   its size in detection limits, null for an effect without a size
+    [world]      the source: "foreign" (the default), "real", ...
     [experiments]  a list of names, which makes the plan; [sensors]: chips by the names of sensors; [strata]: words
-    [control]    the number of the case that is the same recording before anything was put into it
+    [control]    the number of the case that is the same recording without the effects
 
 Other keys are kept and ignored. An effect that has only names of nuisance quantities is ignored, because it is within
 the tolerances of parts.

@@ -106,8 +106,8 @@ _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 
 class WorldSensor(NamedTuple):
-    """One sensor of a world: its chip, range (0: fixed), mounting ("" for a barometer), I2C address, and how many times
-    a second it is read.
+    """One sensor of a world: its chip, range (0: fixed), mounting ("" for a barometer), I2C address, and the number of
+    readings per second.
     """
 
     chip: str
