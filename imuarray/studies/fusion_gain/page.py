@@ -55,8 +55,8 @@ _NEGLIGIBLE = 1e-6
 
 
 class HeatingErrors(NamedTuple):
-    """Time (n,) s; by technique the angular rate's ten-second means less the first (n, 3) rad/s; time and temperature
-    (k,) of the box in degC.
+    """Time (n,) in s; by technique, ten-second means of the error of the angular rate, minus the first one, (n, 3) in
+    rad/s; time and temperature (k,) of the box in s and degC.
     """
 
     time_s: Floats

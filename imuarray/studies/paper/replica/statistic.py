@@ -277,7 +277,7 @@ def with_cause(statistic: Statistic, group: str, cause: float) -> Statistic:
 
 @dataclass(frozen=True)
 class AgreementSummary:
-    """The number of statistics `within` 1, 2 and 3 uncertainties, of how many (`count`); `chi_square` of the
+    """The numbers of statistics `within` 1, 2 and 3 uncertainties, and of all (`count`); `chi_square` of the
     `independent` ones per degree, and the interval `expected` (95 %) for it.
 
     Statistics with a common cause are correlated. With correlations r, the mean of n squares of unit normals has the
