@@ -22,8 +22,8 @@ class Target(Protocol):
     address: int
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Receive `data`, whose first byte is complete at `at_ns` and every further one `byte_ns` later; return how
-        many bytes were acknowledged.
+        """Receive `data`, whose first byte is complete at `at_ns` and every further one `byte_ns` later; return the
+        number of acknowledged bytes.
         """
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
@@ -69,9 +69,7 @@ class Chip:
         self.power_on(powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Bring the chip to the state after the supply has come up at `at_ns`: reset values in every register, pointer
-        at 0.
-        """
+        """Set the state after the supply was switched on at `at_ns`: reset values in every register, pointer at 0."""
         self.powered_on_ns = at_ns
         self.page[:] = bytes(256)
         self.pointer = 0

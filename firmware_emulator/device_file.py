@@ -204,7 +204,7 @@ class OpenFile:
         return 0
 
     def _transfer(self, argument: int) -> int:
-        """Carry out I2C_RDWR; return how many messages were sent."""
+        """Carry out I2C_RDWR; return the number of messages that were sent."""
         request = TransferStruct.from_address(pointer(argument))
         count = int(request.nmsgs)
         if not request.msgs or not 0 < count <= MAX_MESSAGES:
@@ -370,7 +370,7 @@ class _DeviceFolder:
             self._adapters[identity(stand_in.stat())] = adapter
 
     def stand_in(self, path: Any) -> Any:
-        """Return the file that represents `path`; `path` itself if it is not an adapter of ours."""
+        """Return the file that represents `path`; `path` itself if it is not the path of an emulated adapter."""
         return self._stand_ins.get(os.fspath(path), path) if isinstance(path, str | os.PathLike) else path
 
     def opened(self, number: int) -> int:

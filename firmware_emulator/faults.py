@@ -4,15 +4,15 @@
 
     [[fault]]
     kind = "unplugged"     # see FAULTS
-    sensor = "BMA2"        # which one; not for faults of the bus
+    sensor = "BMA2"        # the affected sensor; not for faults of the bus
     at_s = 600.0
-    for_s = 5.0            # how long it lasts; a fault that only happens has no length
-    every_s = 60.0         # again and again; left out: once
-    times = 10             # how often; left out: for ever
-    until_set_up = true    # frozen, stale, start_up: over as soon as the program configures the chip
-    channel = 1            # wrong_channel: which is connected instead; left out: the one before
-    reads_right = true     # wrong_channel: the control byte can be read back as ordered all the same
-    bias = [4.0, 0.0, 0.0] # start_up: how far off it has come up, in g, dps or gauss
+    for_s = 5.0            # its duration; an instantaneous fault has none
+    every_s = 60.0         # the period of its repetition; without it: once
+    times = 10             # the number of occurrences; without it: unlimited
+    until_set_up = true    # frozen, stale, start_up: ends as soon as the program configures the chip
+    channel = 1            # wrong_channel: the connected channel; without it: the previous one
+    reads_right = true     # wrong_channel: the control byte nevertheless reads back as written
+    bias = [4.0, 0.0, 0.0] # start_up: the error of the bias after power-up, in g, dps or gauss
 
 The file does not state how the program that reads the array should respond.
 """

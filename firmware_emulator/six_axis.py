@@ -92,7 +92,7 @@ class SixAxis(Chip):
         return at_ns - at_ns % self._pulse_ns if self._pulse_ns else None
 
     def is_marked(self, grid: SampleGrid, at_ns: int) -> bool:
-        """Return whether a pulse occurred since the sample before the one at `at_ns`."""
+        """Return whether a pulse occurred between the previous sample and that at `at_ns`."""
         pulse_ns = self.latest_pulse_ns(at_ns)
         return pulse_ns is not None and pulse_ns > at_ns - grid.period_ns
 
