@@ -55,8 +55,8 @@ _COUNT_BITS = 16
 
 
 def thermometer_of(header: SensorHeader) -> ChipThermometer | None:
-    """Return the chip's own thermometer, by its header or else by its data sheet; None if the chip has none, or if the
-    meaning of its counts is unknown.
+    """Return the chip's own thermometer, from its header or otherwise from its data sheet; None if the chip has none,
+    or if the meaning of its counts is unknown.
     """
     if not header.has_temperature:
         return None
@@ -74,8 +74,8 @@ def thermometer_counts(thermometer: ChipThermometer, temperature_degc: Reals) ->
 
 
 def even_step(chip: str, rate_hz: float) -> int:
-    """Return 2 for an ADXL345 at a rate at which only even codes occur (ADX-47), else 1. The actual rate may differ
-    slightly from the configured one.
+    """Return 2 for an ADXL345 at a rate at which only even codes occur (ADX-47), otherwise 1. The actual rate may
+    differ slightly from the configured one.
     """
     return 2 if chip == "adxl345" and rate_hz >= _NEAREST * EVEN_ONLY_FROM_HZ else 1
 

@@ -32,10 +32,10 @@ class Bandwidth(Effect):
 
     This is first-order low-pass noise of the same rms; `cutoff_hz` is its -3 dB frequency if that is well below the
     rate of the rows. The paper's gyroscope (Appendix A, Figure 13: correlation 0.4 between consecutive rows at 350 Hz)
-    has 51 Hz instead of the 110 Hz that was configured. `share` of the signal, taken as straight between rows, passes
-    the same filter and is delayed by 1 / (2 pi cutoff). With a share of 1 the chip filters everything; with 0 the
-    motion is not filtered, as if only the noise itself were correlated. In data: correlation phi^k at lag k, an Allan
-    deviation that flattens at the shortest times; under motion, a sensor that lags the others.
+    has 51 Hz instead of the 110 Hz that was configured. `share` of the signal, assumed to be linear between rows,
+    passes the same filter and is delayed by 1 / (2 pi cutoff). With a share of 1 the chip filters everything; with 0
+    the motion is not filtered, as if only the noise itself were correlated. In data: correlation phi^k at lag k, an
+    Allan deviation that flattens at the shortest times; under motion, a sensor that lags the others.
 
     With 2 `poles` it is a Butterworth filter, which resembles the output stage of a chip more closely: a = sqrt(2) pi
     cutoff, correlation exp(-a t) (cos a t + sin a t) after a time t, delay 1 / a.

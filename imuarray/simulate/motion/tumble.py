@@ -1,4 +1,4 @@
-"""The tumbling cube (paper, section 4): every face up in turn, smooth turns between them."""
+"""The tumbling cube (paper, section 4): every face is up once, with smooth turns in between."""
 
 from __future__ import annotations
 
