@@ -34,7 +34,7 @@ _SOLE = 0.9
 FOLDS = 5
 """Number of folds; each is evaluated with rates fitted to the others."""
 LEAST_CAUSES = 20
-"""Minimum number of causes for fitting or evaluating rates when a chip or an experiment is left out."""
+"""Minimum number of causes for fitting or evaluating rates when a chip or an experiment is omitted."""
 CONFUSED = 0.1
 """Two effects are confusable if, in at least this share of the cases of one of them, the other is reported first."""
 
@@ -80,7 +80,7 @@ class ConfusablePair(NamedTuple):
 
 def claims_in(answers: Sequence[Answer]) -> list[CauseClaim]:
     """Return the causes reported in cases of one mechanism, two or none, in random worlds or on the full plan. Causes
-    without a share are left out.
+    without a share are omitted.
     """
     claims = []
     for answer in answers:
