@@ -237,8 +237,8 @@ def call_it_reference(path: Path) -> None:
 
 
 def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> None:
-    """Rewrite the reference of a log at its own rate, with times of its own, exact clock, from `begun_ns` of the world
-    on.
+    """Rewrite the reference of a log at its own rate, with times of a separate, exact clock, from `begun_ns` of the
+    world on.
     """
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world

@@ -109,8 +109,8 @@ class Adxl345Chip(Chip):
         self._reading = False
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read byte by byte, but a whole set at once, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't change
-        while they are read (ADX-49).
+        """Read byte by byte, except for a whole set, alone or after INT_SOURCE and DATA_FORMAT, which is read in one
+        step because its bytes do not change while they are read (ADX-49).
         """
         head_bytes = _DATA_START - self.pointer
         if count != head_bytes + 6 or head_bytes not in (0, 2) or self._reading:

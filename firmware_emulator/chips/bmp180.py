@@ -4,7 +4,7 @@ Each command starts one conversion. Temperature and pressure share the result re
 until the new one is complete (BMP-48). Conversions take the typical time (BMP-40 ... BMP-44).
 
 Choices: commands in the 10 ms after power-on or reset (BMP-50) are acknowledged and lost; a command during a conversion
-replaces it; an unknown measurement starts nothing, and sco reads 0 at once.
+replaces it; an unknown measurement starts no conversion, and sco reads 0 immediately.
 
 Raw words follow from temperature and pressure by inverting the compensation (facts BMP-60 ... BMP-66): the formulas, in
 floor arithmetic, are solved by bisection for the words that give the required values; both increase with their word.

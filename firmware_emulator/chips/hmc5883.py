@@ -105,7 +105,9 @@ class Hmc5883Chip(Chip):
         return DATA.start if pointer == self.wrap else pointer + 1
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read byte by byte, but all six data bytes at once: the first locks the others (HMC-33)."""
+        """Read byte by byte, except for all six data bytes, which are read in one step: the first locks the others
+        (HMC-33).
+        """
         if count != len(DATA) or self.pointer != DATA.start:
             return super().read(count, at_ns, byte_ns)
         self._convert(at_ns)

@@ -73,7 +73,7 @@ class MissingCodes(SensorMechanism):
         return cls(missing=min(PERIOD - 2, max(2, round(cls.missing * severity))))
 
     def put_on(self, site: Site) -> None:
-        """Act alike on all axes, which share one converter."""
+        """Skip the same codes on all axes, which share one converter."""
         first = PERIOD - self.missing
 
         def carried(code: int) -> int:
