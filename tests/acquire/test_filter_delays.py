@@ -19,7 +19,7 @@ from imuarray.characterise.alignment import find_alignment
 from imuarray.cli import main
 from imuarray.fuse import read_fused
 from imuarray.log import open_log
-from tests.acquire.test_queue_times import SPAN_G, ClockElement
+from tests.acquire.clock_world import SPAN_G, ClockElement
 from tests.selection import some
 
 DELAYS_MS = [

@@ -18,8 +18,8 @@ from imuarray.acquire import record
 from imuarray.array import parse_array
 from imuarray.log import open_log
 from imuarray.log.format import OVERRUN, RECONFIGURED
+from tests.acquire.clock_world import array_text
 from tests.acquire.streams import stream
-from tests.acquire.test_queue_times import array_text
 from tests.bus.serial_bench import Bench
 
 WITHIN_S = 1.0

@@ -19,8 +19,8 @@ from imuarray.acquire.recording import RecordingCounts
 from imuarray.acquire.stream import streams
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log import open_log
+from tests.acquire.clock_world import SPAN_G, ClockElement
 from tests.acquire.streams import LOST, MS, OVERRUN, RECONFIGURED, SUSPECT, BadLine, S, events, stream
-from tests.acquire.test_queue_times import SPAN_G, ClockElement
 from tests.bus.serial_bench import Bench
 from tests.selection import some
 

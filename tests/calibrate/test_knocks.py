@@ -12,7 +12,7 @@ from imuarray.calibrate.pose_readings import rest_windows
 from imuarray.characterise import characterise_log
 from imuarray.importers.plausibility import report_of
 from imuarray.log import Log, open_log
-from tests.calibrate.test_motion import RATE_HZ, Felt, Floats, record, resting
+from tests.calibrate.motion_logs import RATE_HZ, Felt, Floats, record, resting
 
 KNOCKS_S = (20.25, 41.3, 77.8)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +12,10 @@ from imuarray.calibrate.motion import STILL, longest_rest, motion_in
 from imuarray.calibrate.turn_on import MOST_SEM
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
-from imuarray.log import Block, LogWriter, Stimulus, open_log
-from imuarray.log.format import Phase, SensorHeader
-from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope
-
-RATE_HZ = 50.0
-Felt = Callable[[Floats], Floats]
-
-
-def resting(seconds: Floats) -> Floats:
-    return np.tile([0.0, 0.0, 1.0], (len(seconds), 1))
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import SensorHeader
+from tests.calibrate.conftest import EPOCH, Floats
+from tests.calibrate.motion_logs import RATE_HZ, Felt, record, resting
 
 
 def carried(seconds: Floats) -> Floats:
@@ -38,34 +31,6 @@ def rolled(seconds: Floats) -> Floats:
 
 def leaning(degrees: float) -> Felt:
     return lambda seconds: np.tile([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))], (len(seconds), 1))
-
-
-def record(
-    path: Path,
-    felt: Felt,
-    seed: int,
-    *,
-    seconds: float = 60.0,
-    noise_g: float = 0.02,
-    phase: str = "",
-    warm: Floats | None = None,
-) -> Path:
-    """An accelerometer and a gyroscope that measures the rate of the swing; usual noise."""
-    rng = np.random.default_rng(seed)
-    at_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    force = felt(at_s)
-    rate = np.degrees(np.gradient(force, at_s, axis=0)) / 3
-    time = np.round(at_s * 1e9).astype(np.int64)
-    with LogWriter(path, [accelerometer("A"), gyroscope("G")], source="simulated", epoch=EPOCH) as writer:
-        for name, values, per_unit, sigma in (("A", force, 2048.0, noise_g), ("G", rate, 1 / 0.00875, 0.2)):
-            counts = np.clip(np.rint(per_unit * (values + rng.normal(0, sigma, values.shape))), -32768, 32767)
-            writer.append(name, Block(time, counts.astype(np.int16), np.zeros(len(time), np.uint16)))
-        if phase:
-            writer.phase(Phase(0, int(time[-1]) + 1, phase))
-        if warm is not None:
-            nothing = np.zeros((len(time), 3))
-            writer.stimulus("reference", Stimulus(time, nothing, nothing, np.interp(at_s, *warm)))
-    return path
 
 
 def test_turn_on_of_moving_logs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from imuarray.fuse.fusion import complete_responses, prepare_inputs
 from imuarray.log import Log, open_log
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import WhiteNoise
-from tests.calibrate.test_turns import planted
+from tests.calibrate.planted_responses import planted
 from tests.calibrate.tumbled import Tumbled, attitudes, record
 from tests.calibrate.turned import ACCELEROMETERS, about, effects
 

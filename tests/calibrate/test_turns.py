@@ -15,15 +15,9 @@ from imuarray.log import open_log
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Misalignment, Scale
 from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, gyroscope, ideal
+from tests.calibrate.planted_responses import planted
 from tests.calibrate.tumbled import Tumbled, attitudes, record
 from tests.calibrate.turned import ACCELEROMETERS, G_SENSITIVITY, GYROSCOPES, SCALE, about, effects
-
-
-def planted(sensitivity: float, orientation: Floats) -> Floats:
-    """The response (3, 3) in counts per dps after the effects are applied to an ideal sensor."""
-    leaning = np.eye(3) + np.tan(np.radians([[0, 0.5, -1.0], [0.8, 0, 0.3], [-0.6, 1.2, 0]]))
-    leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
-    return np.asarray(sensitivity * np.diag(1 + np.array(SCALE)) @ leaning @ orientation.T)
 
 
 def tumble(

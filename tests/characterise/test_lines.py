@@ -8,28 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 from scipy.stats import binom
 
 from imuarray.characterise.lines import FIRST_BIN, aliases, find_lines, noise_floor
 from imuarray.characterise.spectrum import Spectrum, Welch
+from tests.characterise.coloured_noise import coloured
 
 
 def spectrum(values: np.ndarray, rate_hz: float = 1.0, rows: int = 512) -> Spectrum:
     estimate = Welch(rate_hz, rows, values.shape[1])
     estimate.update(values)
     return estimate.result()
-
-
-def coloured(kind: str, rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    """White noise, first-order noise with a corner at bin 8 of 512 rows, or noise of density 1 / f."""
-    white = rng.normal(size=shape)
-    if kind == "first order":
-        return lfilter([1.0], [1.0, -0.9], white, axis=0)
-    if kind == "1/f":
-        bins = np.fft.rfft(white, axis=0)
-        return np.fft.irfft(bins / np.sqrt(np.maximum(np.arange(len(bins)), 1))[:, np.newaxis], axis=0)
-    return white
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from imuarray.characterise.result import SLOW_FALSE_ALARM, find_slow_lines
 from imuarray.characterise.spectrum import SlowWelch, Spectrum, Welch, segment_rows, slow_welch
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
-from tests.characterise.test_lines import coloured
+from tests.characterise.coloured_noise import coloured
 
 RATE_HZ = 333.0
 ROWS = 60_000

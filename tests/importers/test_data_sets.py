@@ -15,7 +15,7 @@ import pytest
 from imuarray.cli import main
 from imuarray.log import open_log
 from tests.importers.recordings import G, walk
-from tests.importers.test_owners import lines, text
+from tests.importers.text_tables import lines, text
 
 ROWS = 1200
 WALK = walk(ROWS)

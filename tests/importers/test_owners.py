@@ -21,6 +21,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import Log, open_log
 from imuarray.log.format import LOST_BEFORE
 from tests.importers.recordings import G, walk
+from tests.importers.text_tables import lines, text
 
 ROWS = 1600
 WALK = walk(ROWS)
@@ -33,19 +34,6 @@ def turned_over() -> np.ndarray:
     angle = np.where(T < 8, 0.0, 2 * np.pi * (T - 8) / 8)
     force = np.stack([np.sin(angle) * np.sin(3 * angle), np.sin(angle) * np.cos(3 * angle), np.cos(angle)], axis=1)
     return force + np.array([0.02, -0.03, 0.05]) + np.random.default_rng(4).normal(0, 2e-3, force.shape)
-
-
-def lines(form: str, *columns: Sequence[object] | np.ndarray) -> list[str]:
-    """One line for each row, by a format of `str.format`; columns of numbers (n,) or (n, k)."""
-    flat: list[Sequence[object]] = []
-    for column in columns:
-        values = np.asarray(column)
-        flat += [values] if values.ndim == 1 else list(values.T)
-    return [form.format(*row) for row in zip(*flat, strict=True)]
-
-
-def text(*rows: str) -> str:
-    return "\n".join(rows) + "\n"
 
 
 def table(header: str, form: str, *columns: Sequence[object] | np.ndarray) -> str:

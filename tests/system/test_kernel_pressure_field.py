@@ -19,7 +19,7 @@ from imuarray.acquire import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from tests.system.bench import SEED, served
-from tests.system.test_kernel_usbip import addresses, numbers, own_readings, sections
+from tests.system.guest_readings import addresses, numbers, own_readings, sections
 
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "bmp280-i2c", "st_magn_i2c", "ak8975", "inv-mpu6050-i2c")
 CONFIG = """

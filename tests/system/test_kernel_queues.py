@@ -18,8 +18,8 @@ import pytest
 
 from firmware_emulator.array import open_array
 from imuarray.array import parse_array
+from tests.system.guest_readings import sections
 from tests.system.tapped import Rows, TappedWire, icm_rows, lsm6dso_rows, mpu_rows, served
-from tests.system.test_kernel_usbip import sections
 
 pytestmark = pytest.mark.slow
 
