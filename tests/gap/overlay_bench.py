@@ -15,7 +15,7 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.split import split_of
 from imuarray.simulate import plan_of
 from imuarray.simulate.effect import Effect
-from tests.gap.made import ARRAY, PLANS, RATE_HZ, phases_of, simulation
+from tests.gap.small_campaign import ARRAY, PLANS, RATE_HZ, phases_of, simulation
 
 
 def benched(kinds: Sequence[str], more: Mapping[str, Sequence[Effect]], seed: int = 1) -> tuple[Bench, Campaign]:

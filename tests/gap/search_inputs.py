@@ -14,8 +14,8 @@ from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
 from imuarray.simulate.effect import Effect
-from tests.gap.made import header
 from tests.gap.small_bench import Run, static
+from tests.gap.small_campaign import header
 
 FITTED = FittedParameters((0.01, 0.01, 0.02), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 REPLICATES = 40

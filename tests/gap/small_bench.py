@@ -17,7 +17,7 @@ from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.motion.faces import Still
-from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
+from tests.gap.small_campaign import ARRAY, BASE, RATE_HZ, phases_of
 
 More = Mapping[str, tuple[Effect, ...]]
 SHORT = Still(seconds=20)

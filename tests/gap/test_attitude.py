@@ -21,9 +21,9 @@ from imuarray.gap.statistics.catalogue import statistics
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.motion.posed import PoseSequence
-from tests.gap.hand_posed import campaign_in, directions, posed, simulated
-from tests.gap.made import BASE
+from tests.gap.hand_poses import campaign_in, directions, posed, simulated
 from tests.gap.small_bench import Run, prepared
+from tests.gap.small_campaign import BASE
 
 UNKNOWN = np.full((20, 3), np.nan)
 

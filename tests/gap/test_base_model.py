@@ -42,7 +42,7 @@ from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.effects.timing import OwnClock
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.signal import Triple
-from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, gaussian, header, summary
+from tests.gap.small_campaign import BASE, PLANS, OneBlock, block, campaign_of, gaussian, header, summary
 from tests.selection import some
 
 

@@ -24,8 +24,8 @@ from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.hand_shake import HandShake
-from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
 from tests.gap.small_bench import array_of, prepared, simulated, static
+from tests.gap.small_campaign import ARRAY, BASE, RATE_HZ, phases_of
 
 
 @pytest.fixture(scope="module")

@@ -40,8 +40,8 @@ from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.response import Nonlinearity, Scale
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.made import BASE, header, units
 from tests.gap.small_bench import SHORT, Run, prepared
+from tests.gap.small_campaign import BASE, header, units
 
 Floats = npt.NDArray[np.float64]
 More = Mapping[str, tuple[Effect, ...]]

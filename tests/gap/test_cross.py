@@ -17,7 +17,7 @@ from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.faces import resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.units import SI_PER_UNIT
-from tests.gap.made import block, header
+from tests.gap.small_campaign import block, header
 
 WINDOW_NS = 100_000_000
 ROWS, INTERVAL_NS = 4000, 10_000_000

@@ -11,7 +11,7 @@ from imuarray.gap.statistics.campaign import Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.cross import CUBES, KINEMATIC, Cross
 from imuarray.gap.statistics.probes import PROBES, ArrayProbe
 from imuarray.log.format import Phase
-from tests.gap.made import header
+from tests.gap.small_campaign import header
 
 WINDOW_S, PACE = 0.05, 3.0
 SENSOR = header()

@@ -11,7 +11,7 @@ from imuarray.gap.findings.deviations import line_hz, lines_shown, shared_change
 from imuarray.gap.inference.effects.noise import unaliased_hz
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.simulate.effects.noise import Tone
-from tests.gap.made import campaign_of, header, where
+from tests.gap.small_campaign import campaign_of, header, where
 
 LINE = Tone((0.0, 0.05, 0.0), 20.0)
 

@@ -24,8 +24,8 @@ from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
-from tests.gap.made import ARRAY, RATE_HZ
 from tests.gap.small_bench import More, simulated
+from tests.gap.small_campaign import ARRAY, RATE_HZ
 
 MINUTE = Still(seconds=60)
 LINE = Tone((0.0, 0.05, 0.0), 17.0)

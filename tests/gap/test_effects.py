@@ -18,7 +18,7 @@ from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.gap.statistics.probes import Domain
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.effect import Effect
-from tests.gap.made import PLANS, campaign_of
+from tests.gap.small_campaign import PLANS, campaign_of
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,9 @@ from imuarray.gap.inference.evidence import PhaseEvidence, ScoredStatistics, evi
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.motion.faces import turn_on_run
-from tests.gap.made import block, gaussian, summary
 from tests.gap.search_inputs import evidence
 from tests.gap.small_bench import LINE, prepared, static
+from tests.gap.small_campaign import block, gaussian, summary
 
 NAN = math.nan
 

@@ -25,10 +25,10 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.faces import Still
-from tests.gap.made_states import FITTED, drawn
-from tests.gap.made_states import standing as by_hand
 from tests.gap.search_inputs import standing_of
 from tests.gap.small_bench import Run, prepared
+from tests.gap.unit_states import FITTED, drawn
+from tests.gap.unit_states import standing as by_hand
 
 BOTH = ("A1", "A2")
 SWAP = Hypothesis((ChannelSwap("A2"),), shared=True, sensor="A1", others=("A2",))

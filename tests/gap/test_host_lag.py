@@ -18,7 +18,7 @@ from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
-from tests.gap.made import simulation
+from tests.gap.small_campaign import simulation
 from tests.selection import some
 
 SHAKEN = HandShake(peak_g=0.5, peak_dps=150.0, still_s=5, motion_s=20)

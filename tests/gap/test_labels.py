@@ -29,8 +29,8 @@ from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.response import AxisError
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.hand_posed import written
-from tests.gap.made import summarised
+from tests.gap.hand_poses import written
+from tests.gap.small_campaign import summarised
 from tests.selection import examples, some
 
 SENSOR = """

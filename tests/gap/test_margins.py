@@ -14,7 +14,7 @@ from imuarray.gap.findings.deviations import length_words, margin, needed, sized
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.margins import share
 from imuarray.gap.statistics.probes import PROBES
-from tests.gap.made import header
+from tests.gap.small_campaign import header
 
 NOISE = np.array([0.004, 0.005, 0.006])
 ROWS_PER_S = 100.0

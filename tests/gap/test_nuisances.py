@@ -28,7 +28,7 @@ from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
-from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation
+from tests.gap.small_campaign import PLANS, SECOND, campaign_of, phases_of, simulation
 from tests.selection import some
 
 

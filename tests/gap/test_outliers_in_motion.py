@@ -14,7 +14,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate.effects.readings import Glitches
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
-from tests.gap.made import SECOND, simulation
+from tests.gap.small_campaign import SECOND, simulation
 
 HIT_S = (8.004, 13.004, 21.004)
 JUMP_G = 128 / 2048

@@ -19,7 +19,7 @@ from imuarray.gap.statistics.probes.probe import arcsine, noise_lsb, score_of_la
 from imuarray.log.format import Phase
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.motion.tumble import ORDER
-from tests.gap.made import SCALE, SECOND, block, gaussian, header, summary, value
+from tests.gap.small_campaign import SCALE, SECOND, block, gaussian, header, summary, value
 
 
 def test_the_registry_covers_all_domains_and_effects() -> None:

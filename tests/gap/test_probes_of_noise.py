@@ -7,7 +7,7 @@ import pytest
 
 from imuarray.gap.statistics.probes import spectrum
 from imuarray.log.format import Phase
-from tests.gap.made import block, gaussian, summary, value
+from tests.gap.small_campaign import block, gaussian, summary, value
 
 
 def test_distribution_of_gaussian_noise() -> None:

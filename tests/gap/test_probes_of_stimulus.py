@@ -9,7 +9,7 @@ from imuarray.axes import face_up, up_vector
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import LOST_BEFORE, STALE, Phase
 from imuarray.simulate.motion.tumble import ORDER
-from tests.gap.made import SCALE, SECOND, block, gaussian, header, summary, value
+from tests.gap.small_campaign import SCALE, SECOND, block, gaussian, header, summary, value
 
 
 def heated(coefficients: tuple[float, float, float, float]) -> list[Summary]:

@@ -19,7 +19,7 @@ from imuarray.gap.recording.recordings import Recording, recording_of
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.log.row_timing import row_timing
-from tests.gap.made import where
+from tests.gap.small_campaign import where
 
 RECORDINGS = Path(os.environ.get("IMUARRAY_RECORDINGS") or Path(__file__).parents[3] / "shared" / "data")
 MAPS = Path(__file__).parents[2] / "configs" / "imports"

@@ -25,8 +25,8 @@ from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.simulate.record import write_log
-from tests.gap.hand_posed import directions, posed, simulated, written
-from tests.gap.made import BASE, SECOND, simulation, summarised
+from tests.gap.hand_poses import directions, posed, simulated, written
+from tests.gap.small_campaign import BASE, SECOND, simulation, summarised
 from tests.selection import some
 
 FOREIGN = [

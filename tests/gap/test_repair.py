@@ -33,7 +33,7 @@ from imuarray.simulate.model import Model, parse_model
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.record import write_log
 from imuarray.simulate.streams import Streams
-from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, units
+from tests.gap.small_campaign import ARRAY, RATE_HZ, header, phases_of, simulation, units
 
 TONE = Tone((0.0, 0.05, 0.0), 20.0)
 FITTED = FittedParameters((0.05, 0.05, 0.05), (0.5, -0.25, 1.0), (0.05, 0.0, 0.0))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.recording.events import MOST_STRETCHES, repeated_rows_in
-from tests.gap.made import block
+from tests.gap.small_campaign import block
 
 
 def held(counts: list[int], cuts: tuple[int, ...] = ()) -> list[tuple[int, int, int]]:

@@ -7,7 +7,7 @@ import pytest
 
 from imuarray.gap.statistics.probes import PROBES, RunsProbe
 from imuarray.gap.statistics.runs import PARTS, Runs, divide, runs_of
-from tests.gap.made import block, header, summary
+from tests.gap.small_campaign import block, header, summary
 
 SCALE = 1 / 2048.0
 

@@ -41,10 +41,10 @@ from imuarray.simulate.effects.conversion import Saturation
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import Stuck
 from imuarray.simulate.effects.timing import ClockError, Skew
-from tests.gap.made_states import drawn
-from tests.gap.made_states import standing as by_hand
 from tests.gap.search_inputs import evidence, found_in, standing_of
 from tests.gap.small_bench import LINE, Run, prepared, static
+from tests.gap.unit_states import drawn
+from tests.gap.unit_states import standing as by_hand
 
 UNIT: Unit = ("G1",)
 KINDS: tuple[Effect, ...] = (Bias(1.0), WhiteNoise(1.0), LINE)

@@ -9,7 +9,7 @@ import pytest
 from imuarray.gap.inference.assessment import LEVELS, Localisation, localise, p_value
 from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.statistics.catalogue import Key, statistics
-from tests.gap.made import campaign_of
+from tests.gap.small_campaign import campaign_of
 
 Floats = npt.NDArray[np.float64]
 

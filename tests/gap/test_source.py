@@ -22,7 +22,7 @@ from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor
-from tests.gap.made import BASE, RATE_HZ, campaign_of, phases_of, simulation
+from tests.gap.small_campaign import BASE, RATE_HZ, campaign_of, phases_of, simulation
 from tests.selection import some
 
 TUMBLE = Tumble(10.0, 1.0)

@@ -13,7 +13,7 @@ from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, Phase
 from imuarray.gap.statistics.split import Side, Split, split_of
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.made import phases_of, simulation
+from tests.gap.small_campaign import phases_of, simulation
 
 KINDS = ("static", "tumble", "heating", "turn-on", "motion")
 

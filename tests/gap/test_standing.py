@@ -20,7 +20,7 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.response import Scale
-from tests.gap.made_states import FITTED, drawn, standing
+from tests.gap.unit_states import FITTED, drawn, standing
 
 NAN = math.nan
 LINE, OTHER = Tone(1.0, 5.0), Tone(1.0, 9.0)

@@ -8,7 +8,7 @@ import pytest
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import ALL_LOGS, WHOLE_LOG, Key, statistics
 from imuarray.gap.statistics.probes import PROBES
-from tests.gap.made import campaign_of
+from tests.gap.small_campaign import campaign_of
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from imuarray.gap.statistics.probes import PROBES, CampaignProbe, PhaseProbe
 from imuarray.gap.statistics.summary import Grid, Tally
 from imuarray.log.format import LOST_BEFORE, OVERRUN, SATURATED, STALE, Phase, SensorHeader
 from imuarray.log.writer import Block
-from tests.gap.made import block, summary
+from tests.gap.small_campaign import block, summary
 
 HEADER = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, rate_hz=100.0)
 

@@ -27,7 +27,7 @@ from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.faces import Still, resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
-from tests.gap.made import RATE_HZ, header, phases_of
+from tests.gap.small_campaign import RATE_HZ, header, phases_of
 from tests.selection import some
 
 ARRAY = """

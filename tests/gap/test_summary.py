@@ -15,7 +15,7 @@ from imuarray.gap.statistics.probes import PROBES, PhaseProbe
 from imuarray.gap.statistics.summary import Grid, Summary, Tally, side_by_side
 from imuarray.log.format import Phase
 from imuarray.log.writer import Block
-from tests.gap.made import block, header, summary
+from tests.gap.small_campaign import block, header, summary
 from tests.selection import examples
 
 

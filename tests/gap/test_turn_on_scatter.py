@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from imuarray.gap.model.populations import turn_on_rms
-from tests.gap.made import header
+from tests.gap.small_campaign import header
 
 PARTS = (
     ("adxl345", "g", 16.0, 0.163 / 256),

@@ -23,7 +23,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Kind
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.log.format import SensorHeader
-from tests.gap.made import campaign_of, header
+from tests.gap.small_campaign import campaign_of, header
 
 SENSORS = {
     "A1": header("A1"),

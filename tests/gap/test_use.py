@@ -14,7 +14,7 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.effects.temperature import ThermalBias
-from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, header
+from tests.gap.small_campaign import BASE, PLANS, OneBlock, block, campaign_of, header
 
 GRAVITY = 9.80665
 ROWS_PER_S = 10.0

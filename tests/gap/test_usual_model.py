@@ -12,7 +12,7 @@ from imuarray.gap.model.populations import printed_noise, usual_model
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part, parse_model
 from imuarray.simulate.population import Spread
-from tests.gap.made import header
+from tests.gap.small_campaign import header
 
 FITTED = FittedParameters(*((0.0,) * 3,) * 3)
 HEADERS = {

@@ -9,7 +9,7 @@ from imuarray.simulate.streams import Streams
 from imuarray.validation.bench import CHIPS
 from imuarray.validation.plans import EXTRAS
 from imuarray.validation.trial import model_with
-from tests.gap.made import header
+from tests.gap.small_campaign import header
 
 
 @pytest.mark.parametrize("extra", EXTRAS, ids=lambda extra: extra["effect"])

@@ -21,7 +21,7 @@ from imuarray.simulate import Motion, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.made import ARRAY, PLANS, RATE_HZ, Effects, phases_of, simulation
+from tests.gap.small_campaign import ARRAY, PLANS, RATE_HZ, Effects, phases_of, simulation
 
 Floats = npt.NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
 from tests.gap.effects.evidence_of import evidence_of
-from tests.gap.made import SECOND
+from tests.gap.small_campaign import SECOND
 from tests.selection import some
 
 FACES = np.concatenate([np.eye(3), -np.eye(3)])

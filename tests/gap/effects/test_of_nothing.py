@@ -13,7 +13,7 @@ from imuarray.gap.model.base_model import FittedParameters
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.summary import Grid, Tally
 from imuarray.log.format import Phase
-from tests.gap.made import block, gaussian, header, summary
+from tests.gap.small_campaign import block, gaussian, header, summary
 
 STATISTICS_ALONE = ("scale", "misalignment", "axis_error", "odr_error")
 """What needs no rows, only the values of probes."""

@@ -25,7 +25,7 @@ from imuarray.simulate.effects.readings import Glitches, Stuck
 from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
-from tests.gap.made import BASE, simulation
+from tests.gap.small_campaign import BASE, simulation
 from tests.selection import some
 
 TORN_S = (8.004, 13.004, 21.004)

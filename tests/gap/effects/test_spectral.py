@@ -18,7 +18,7 @@ from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.timing import Skew
 from tests.gap.effects.evidence_of import evidence_of
-from tests.gap.made import RATE_HZ
+from tests.gap.small_campaign import RATE_HZ
 
 
 def tones(kind: str, put_in: Tone, modelled: tuple[Tone, ...] = ()) -> list[Tone]:

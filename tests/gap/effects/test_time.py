@@ -19,7 +19,7 @@ from imuarray.gap.recording.host_lag import HostLag
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import ClockError, DroppedSamples, Jitter, Skew
 from tests.gap.effects.evidence_of import evidence_of
-from tests.gap.made import RATE_HZ
+from tests.gap.small_campaign import RATE_HZ
 from tests.selection import some
 
 ALL = ("clock_error", "dropped_samples", "jitter", "skew")

@@ -16,7 +16,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.posed import PoseAttitude, PoseSequence
-from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects
+from tests.gap.small_campaign import ARRAY, BASE, RATE_HZ, SECOND, Effects
 
 POSE_S, TURN_S = 5, 1
 
