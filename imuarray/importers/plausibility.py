@@ -1,9 +1,9 @@
 """The report after every import: facts about the new log, and doubts about its map.
 
-Most mistakes of an import are wrong units, and they contradict something known: gravity is 1 g, the earth's field about
-half a gauss, and a rotation seen by a gyroscope also rotates gravity in an accelerometer. Others show in the times (a
-unit of time, rows in bursts, stalls) or in the codes (constant axes, only even codes, an exceeded range). Nothing is
-changed here; a person decides about doubts.
+Most mistakes of an import are wrong units, which contradict known values: gravity is 1 g, the earth's field is about
+half a gauss, and a rotation measured by a gyroscope also rotates gravity in an accelerometer. Other mistakes are
+detected in the times (a unit of time, rows in bursts, stalls) or in the codes (constant axes, only even codes, an
+exceeded range). The report does not change the log; the user decides about doubts.
 """
 
 from __future__ import annotations
@@ -37,142 +37,158 @@ from imuarray.printable import counted, listed, percent
 from imuarray.units import INERTIAL, STANDARD_GRAVITY, Quantity
 
 WINDOW_S = 0.5
-"""Length of the windows in which rest and rotation are detected: gravity changes little, noise averages out."""
+"""Length of the windows in which rest and rotation are detected: gravity changes little within them, and noise is
+averaged.
+"""
 
 TURN_WINDOW_S = 0.125
-"""Length of the windows in which quick rotations are compared: a turn by hand takes a second. Slow ones, whose gravity
-hardly changes from window to window, are compared in windows of `WINDOW_S`.
+"""Length of the windows in which quick rotations are compared: a turn by hand takes a second. Slow rotations, in which
+gravity hardly changes from window to window, are compared in windows of `WINDOW_S`.
 """
 
 FEWEST_ROWS = 32
-"""Minimum length of a recording for doubts; a shorter one is an excerpt."""
+"""Fewest rows of a recording for doubts; a shorter one is an excerpt."""
 
 GRAVITY_OFF = 0.12
-"""Greatest plausible relative difference of the force at rest from 1 g: an offset of 50 mg on each axis and a scale
-error of 3 % make a tenth.
+"""Largest plausible relative difference of the force at rest from 1 g: an offset of 50 mg on each axis and a scale
+error of 3 % are together a tenth.
 """
 
 NEAR_FACTOR = 0.1
-"""Greatest log ratio between a force and 1 g times the ratio of two units at which the unit explains it."""
+"""Largest log ratio between a measured force and 1 g times the ratio of two units at which a confusion of the units
+explains the force.
+"""
 
 NEAR_TURNS = 0.3
-"""The same of rotations, which quick motion disturbs."""
+"""The same limit for rotations, which quick motion disturbs."""
 
 EARTH_GAUSS = (0.15, 1.0)
 """Field of the earth (0.22 to 0.67 gauss, IGRF) with the influence of iron near a sensor."""
 
 LEAST_OFFSET = 64.0
-"""Least code that is taken for the middle of an unsigned converter's range: that of 8 bits has 128."""
+"""Least code that is assumed to be the middle of an unsigned converter's range: with 8 bits it is 128."""
 
 RATES_HZ = (1.0, 20_000.0)
-"""Plausible rates of inertial and magnetic sensors: no chip is faster, and slower ones have a wrong unit of time."""
+"""Plausible rates of inertial and magnetic sensors: no chip is faster, and a lower rate is due to a wrong unit of
+time.
+"""
 
 USUAL_RATES_HZ = (5.0, 5000.0)
-"""Rates to which a corrected unit of time must lead."""
+"""Range in which the rate must be after a correction of the unit of time."""
 
 OVER_RANGE = 1.05
 """Tolerance beyond the range: chips exceed their nominal range by a few per cent."""
 
 STILL = 2.5
-"""A window is at rest if its standard deviation is at most this multiple of the quiet ones'."""
+"""A window is at rest if its standard deviation is at most this multiple of that of the quiet windows (`QUIET`)."""
 
 QUIET = 0.1
-"""Share of the windows that are the quiet ones: a recording rests for that long at least."""
+"""Share of the windows that are quiet: a recording is assumed to be at rest for at least this share of its time."""
 
 RESTS = 0.5
-"""Share of windows at rest from which on a disturbance is called a knock, and not motion."""
+"""Least share of windows at rest at which a disturbance is reported as a knock and not as motion."""
 
 SHAKEN = 0.1
 SHAKEN_LEVEL = 3.0
-"""A recording whose quiet windows have a standard deviation of more than a tenth of the force is shaken throughout: its
-force then says something about the unit only if it is this factor from 1 g.
+"""A recording is shaken throughout if the standard deviation of its quiet windows exceeds the share `SHAKEN` of the
+force. The force then indicates a wrong unit only if it differs from 1 g by more than the factor `SHAKEN_LEVEL`.
 """
 
 TURNS_DPS = 1.0
-"""Scatter of a gyroscope's quiet windows, beyond their noise, from which on they are not at rest."""
+"""Scatter of the means of a gyroscope's quiet windows in dps, in excess of their noise, above which they are not at
+rest.
+"""
 
 MOST_BIAS_DPS = 80.0
-"""Greatest plausible reading at rest: the widest zero-rate level is 75 dps (L3G-70)."""
+"""Largest plausible reading of a gyroscope at rest: the largest zero-rate level of a data sheet is 75 dps (L3G-70)."""
 
 NOISY_DPS = 2.0
 NOISY_BIAS_DPS = 20.0
-"""A gyroscope at rest that scatters by more than the first and reads more than the second is doubted, too."""
+"""A gyroscope at rest with a noise of more than `NOISY_DPS` and a reading of more than `NOISY_BIAS_DPS` is doubted,
+too.
+"""
 
 RESOLVED_LSB = 0.3
 QUIET_DPS = 0.003
-"""Least noise (rms) of a MEMS gyroscope whose counts resolve it: beyond that of their rounding, 1 / sqrt(12)."""
+"""Least noise (rms) of a MEMS gyroscope. It is compared only if the noise exceeds `RESOLVED_LSB` counts: that of
+rounding is 1 / sqrt(12).
+"""
 
 MOST = MappingProxyType({"specific_force": 450.0, "angular_rate": 4500.0, "magnetic_field": 60.0})
-"""Readings (g, dps, gauss) beyond those of every usual chip."""
+"""Readings (g, dps, gauss) that no usual chip exceeds."""
 
 TURNED = 0.02
-"""Rotation of gravity between windows (rad) from which on a gyroscope can be compared."""
+"""Least rotation of gravity between windows (rad) for a comparison with a gyroscope."""
 
 MISALIGNED = 0.9
-"""Cosine of the angle between two accelerometers' gravities below which one is not mounted as the map says: chips are
-soldered within a few degrees, and 26 degrees are more than any bias makes.
+"""Cosine of the angle between the gravity vectors of two accelerometers below which one of them is not mounted as
+stated in the map: chips are soldered within a few degrees, and no bias changes the direction by 26 degrees.
 """
 
 FEWEST_RESTS = 8
-"""Windows at rest in which gravities are compared."""
+"""Fewest windows at rest for a comparison of directions of gravity."""
 
 ALWAYS = 0.9
-"""Share of the windows at rest in which the same axis must point down for a statement about all of them."""
+"""Least share of the windows at rest in which the same axis points down, for a statement about all of them."""
 
 LEAST_DIP_DEG = 20.0
-"""Inclination of the magnetic field above which it distinguishes up from down in spite of biases."""
+"""Least inclination of the magnetic field in degrees at which it distinguishes up from down in spite of biases."""
 
 LEAST_HELD = 32
-"""Least number of equal rows in a row that is called a stop: sensors that are read too often repeat fewer."""
+"""Fewest consecutive equal rows that are reported as a stop: sensors that are read too often repeat fewer rows."""
 
 BESIDE = 64
-"""Rows on either side of these that are looked at."""
+"""Number of rows before and after these rows in which the readings must change."""
 
 AXIS_HELD = 64
 OTHER_RUNS = 8.0
-"""Least number of equal readings in a row of a single axis that stops, and how many times as long as its next longest
-run that is: an axis at rest whose noise is small repeats often.
+"""Fewest consecutive equal readings of a single axis that are reported as a stop (`AXIS_HELD`), and least ratio of
+their number to that of its next longest run: an axis at rest with little noise often repeats a reading.
 """
 
 FITS = 0.95
-"""Correlation between the rotations of accelerometers and gyroscope at which other axes than those of the map fit."""
+"""Least correlation between the rotations of accelerometers and gyroscope at which axes other than those in the map
+fit.
+"""
 
 BETTER = 0.1
-"""Difference of correlations from which on no others do."""
+"""Least difference between the best and the second-best correlation at which the best axes are stated."""
 
 FEWEST_TURNS = 20
 TURN_PASSES = 3
 MOST_HALF_TURN = 1.0
-"""Passes in which the angle between windows is found, and the largest half of one (rad) that is believed."""
+"""Constants of the rotation fit: the fewest rotations, the number of iterations in which the angle between windows is
+determined, and the largest half of this angle (rad) that is used.
+"""
 
 FOLLOWS = 0.8
-"""Correlation between the rotations of accelerometers and gyroscope above which their ratio is used."""
+"""Least correlation between the rotations of accelerometers and gyroscope at which their ratio is used."""
 
 SAME_SCALE = 1.4
-"""Ratio of rotations that is not doubted: forces of motion disturb it."""
+"""Largest ratio of rotations that is not doubted: accelerations of the motion disturb it."""
 
 LISTED = 3
-"""Maximum number of sensors of a quantity that are reported one by one."""
+"""Maximum number of sensors of a quantity that are reported individually."""
 
 MOST_OF_A_TIME = 4.0
-"""Mean number of rows with the same time from which on the times are doubted: a clock of milliseconds gives two rows of
-a fast chip the same time, and one of seconds hides the rate.
+"""Mean number of rows with the same time above which the times are doubted. With a clock of milliseconds, two rows of a
+fast chip have the same time; a clock of seconds hides the rate.
 """
 
 LOST_ROW = 1.5
-"""Shortest gap that a single lost row can leave, in usual intervals."""
+"""Shortest gap after a single lost row, in usual intervals."""
 
 OFF_GRID = 0.25
-"""Greatest distance of three intervals in a row from a whole number of usual intervals, in these."""
+"""Largest difference of the sum of three consecutive intervals from a whole number, in usual intervals."""
 
 MOST_GAPS = 0.1
-"""Share of the intervals that are gaps from which on these are no exception, but the rule."""
+"""Share of gaps in the intervals above which rows are reported as missing regularly."""
 
 STEADY_SHARE = 0.9
-"""Share of the rows that are on the grid from which on the rows of a sensor count as steady."""
+"""Least share of rows on the grid at which the rows of a sensor count as steady."""
 
 DEGC = (-45.0, 130.0)
-"""Temperatures of working chips."""
+"""Range of temperatures of a working chip in degC."""
 
 _FORCE_UNITS: Mapping[float, str] = {
     STANDARD_GRAVITY: "m/s2, not g", 1 / STANDARD_GRAVITY: "g, not m/s2", 1000.0: "mg, not g", 0.001: "g, not mg",
@@ -184,7 +200,9 @@ _FIELD_UNITS: Mapping[float, str] = {
 _TURN_UNITS: Mapping[float, str] = {
     180 / np.pi: "rad/s, not dps", np.pi / 180: "dps, not rad/s", 1e-3: "mdps, not dps", 1e3: "dps, not mdps",
 }  # fmt: skip
-"""Units that a map states wrongly, by the ratio to what is known."""
+"""Confusions of units in a map: forces and fields by the ratio of the reading to the known value, rotations by the
+factor by which the rates must be multiplied.
+"""
 
 
 @dataclass(frozen=True)
@@ -198,7 +216,7 @@ class Report:
 
 @dataclass
 class _Sentences:
-    """Sentences, each with the sensors to which it applies."""
+    """Sentences, each with the sensors that it applies to."""
 
     sentences: dict[str, list[str]] = field(default_factory=dict)
 
@@ -212,12 +230,16 @@ class _Sentences:
             self.add(name, sentence)
 
     def all(self) -> tuple[str, ...]:
-        """Return the sentences; sensors with the same sentence share it, those that differ in their number together."""
+        """Return the sentences; sensors with the same sentence share it, and sentences that differ only in a number are
+        combined.
+        """
         return tuple(f"{listed(_by_kind(names))}: {sentence}" for sentence, names in self.sentences.items())
 
 
 def _by_kind(names: Sequence[str]) -> list[str]:
-    """Return names in the order of their first number-less spelling: A1, A2, G1, G2 of A1, G1, A2, G2."""
+    """Return names grouped by their spelling without numbers, in the order of its first occurrence: A1, A2, G1, G2 for
+    A1, G1, A2, G2.
+    """
     kinds: dict[str, list[str]] = {}
     for name in names:
         kinds.setdefault(re.sub(r"\d+", "", name), []).append(name)
@@ -248,8 +270,8 @@ def report_of(log: Log) -> Report:
 
 @dataclass
 class _Examination:
-    """Observations of single sensors: sentences, their `levels` at rest by wording, and the windows of those whose
-    times and codes can be trusted.
+    """Observations of single sensors: sentences, their `levels` at rest by wording, and the windows of sensors with
+    plausible times and codes.
     """
 
     quirks: _Sentences = field(default_factory=_Sentences)
@@ -285,7 +307,7 @@ class _Examination:
 
 
 def _times(sensor: SensorLog, timing: RowTiming) -> Iterator[str]:
-    """Yield what is unusual in the times of a sensor's rows, which are not shared by several."""
+    """Yield sentences on unusual times of a sensor's rows, each of which has a time of its own."""
     if timing.sentence:
         hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
         yield timing.sentence + hint
@@ -294,7 +316,7 @@ def _times(sensor: SensorLog, timing: RowTiming) -> Iterator[str]:
 
 
 def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """Yield what sensors read at rest; for many sensors the least and the greatest value."""
+    """Yield sentences on the readings of sensors at rest; for many sensors with the smallest and the largest value."""
     for wording, values in levels.items():
         if len(values) <= LISTED:
             yield from (f"{name}: {wording.format(f'{value:.4g}')}" for name, value in values.items())
@@ -331,17 +353,17 @@ class _Windows:
 
     @property
     def has_gravity(self) -> bool:
-        """True if an accelerometer measures more than a program leaves that subtracts gravity."""
+        """True if an accelerometer measures more than the remainder after a program has subtracted gravity."""
         return len(self.mean) > 0 and float(np.median(np.linalg.norm(self.mean, axis=1))) > NO_GRAVITY
 
     def still(self) -> npt.NDArray[np.bool_]:
-        """Return (w,) windows at rest, judged by the quietest tenth."""
+        """Return which windows (w,) are at rest, relative to the quietest tenth."""
         if len(self.spread) == 0:
             return np.zeros(0, bool)
         return np.asarray(self.spread <= STILL * np.quantile(self.spread, QUIET))
 
     def knocks(self) -> str:
-        """Describe the knocks of an accelerometer that mostly rests; "" without any."""
+        """Describe the knocks of an accelerometer that is mostly at rest; "" without any."""
         still = self.still()
         if not len(still) or still.mean() < RESTS:
             return ""
@@ -354,7 +376,7 @@ class _Windows:
 
 
 def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | None, list[str]]:
-    """Return what a sensor reads at rest (wording and value), and doubts about it."""
+    """Return the reading of a sensor at rest (wording and value), and doubts about it."""
     still = windows.still()
     if not still.any():
         return None, []
@@ -410,7 +432,7 @@ def _doubled(ratio: float) -> str:
 
 
 def _shared_times(timing: RowTiming) -> str:
-    # Rows share the time of a tick; those at the first and the last are incomplete.
+    # Rows of one tick have the same time; the first and the last tick are incomplete.
     rate_hz = timing.period_rows / timing.gap_s if timing.period_rows else timing.rate_hz
     return (
         f"several rows have the same time, and the next time is {timing.gap_s:.3g} s later: the clock is coarse,"
@@ -420,7 +442,7 @@ def _shared_times(timing: RowTiming) -> str:
 
 
 def _missing_rows(sensor: SensorLog, timing: RowTiming) -> str:
-    """Describe the rows that are missing between otherwise steady rows; "" if none is."""
+    """Describe the rows that are missing between otherwise steady rows; "" if none is missing."""
     gaps = _find_gaps(sensor, timing)
     if not len(gaps):
         return ""
@@ -441,8 +463,8 @@ def _find_gaps(sensor: SensorLog, timing: RowTiming) -> npt.NDArray[np.float64]:
     """Return the gaps (k,) in usual intervals: all of at least `GAP`, and shorter ones that a lost row explains.
 
     A late row makes the next interval shorter, so that three intervals around it take the usual time; a lost row adds
-    one interval to all three. Where intervals scatter without a grid (a program that sleeps between readings), most
-    sums of three are no whole number of intervals, and no single row is called lost.
+    one interval to all three. If intervals scatter without a grid (a program that sleeps between readings), most sums
+    of three are not a whole number of intervals, and no single row is reported as lost.
     """
     long_gaps: list[npt.NDArray[np.float64]] = []
     near_grid, rows = 0, 0
@@ -454,7 +476,7 @@ def _find_gaps(sensor: SensorLog, timing: RowTiming) -> npt.NDArray[np.float64]:
         three = padded[:-2] + padded[1:-1] + padded[2:]
         off_grid = np.abs(three - np.rint(three))
         near_grid, rows = near_grid + int(np.sum(off_grid < OFF_GRID)), rows + len(three)
-        # Each interval belongs to the block that its later row is in.
+        # Each interval belongs to the block of its later row.
         own_rows = slice(max(block.start - 1, 0) - begin, block.stop - 1 - begin)
         is_lost = (intervals > LOST_ROW) & (three > 3 + LOST_ROW - 1) & (off_grid < OFF_GRID)
         long_gaps.append(np.where((intervals > GAP) | is_lost, intervals, 0.0)[own_rows])
@@ -490,7 +512,9 @@ class _Codes:
         self.runs = runs
         self.seen, self.repeats = histograms, tally.result()
         self.held = _held_rows(sensor, self.repeats)
-        """Rows that repeat one reading for longer than chance or a slow chip explains; an empty slice without any."""
+        """Rows that repeat one reading for longer than chance or a slow chip can explain; an empty slice without
+        any.
+        """
 
     @property
     def is_constant(self) -> bool:
@@ -498,7 +522,7 @@ class _Codes:
         return all(len(codes.codes) == 1 for codes in self.seen)
 
     def quirks(self) -> Iterator[str]:
-        """Yield what is unusual in the codes without being an error."""
+        """Yield sentences on properties of the codes that are unusual but not an error."""
         steps = Counter(usual_step(codes) for codes in self.seen if len(codes.codes) > 2)
         step = next(iter(steps)) if len(steps) == 1 else 1
         on_zero = (
@@ -521,7 +545,7 @@ class _Codes:
                     yield _held_axis_in_words(sensor, axis, run)
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
-        """Yield what is impossible in the codes."""
+        """Yield sentences on impossible properties of the codes."""
         constant = "".join(axis for axis, codes in zip("xyz", self.seen, strict=True) if len(codes.codes) == 1)
         if constant:
             codes = ", ".join(str(int(codes.codes[0])) for codes in self.seen if len(codes.codes) == 1)
@@ -547,8 +571,8 @@ class _Codes:
 
 
 def _held_rows(sensor: SensorLog, repeats: Repeats) -> slice:
-    """Return the longest run of equal rows if that is no chance: other rows seldom repeat, and those on either side
-    change by a count and more each time, which those of a coarse sensor that comes to rest do not.
+    """Return the longest run of equal rows if it is not due to chance: other rows seldom repeat, and the rows on either
+    side change by at least a count on average, unlike those of a coarse sensor that comes to rest.
     """
     no_rows, other_repeats = slice(0, 0), repeats.rows - repeats.longest
     if repeats.longest < LEAST_HELD or other_repeats < FEWEST_ROWS:
@@ -596,7 +620,7 @@ def _are_unsigned(seen: Sequence[Histogram]) -> bool:
 
 
 def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
-    """Return what a thermometer read, and doubts about it."""
+    """Return sentences on the readings of a thermometer, and doubts about it."""
     column = sensor.temperature_counts
     if column is None:
         return [], []
@@ -614,7 +638,9 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
 
 
 def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
-    """Yield accelerometers in which gravity has another direction than in the first, while both are at rest."""
+    """Yield accelerometers with a direction of gravity that differs from that of the first one, while both are at
+    rest.
+    """
     forces = _names_of(log, "specific_force", windows)
     for name in forces[1:]:
         first, other = windows[forces[0]], windows[name]
@@ -636,9 +662,9 @@ def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str
 
 
 def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
-    """Yield accelerometers that read -1 g along an axis whenever they rest, unless a phase notes that. No gyroscope can
-    tell whether it is their sign: gravity with the opposite sign turns in the same way, df/dt = -omega x f. The earth's
-    field can.
+    """Yield accelerometers that measure -1 g along an axis whenever they are at rest, unless a phase states this. A
+    gyroscope does not determine whether their sign is wrong, because gravity with the opposite sign turns in the same
+    way, df/dt = -omega x f; the earth's field does.
     """
     fields = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
     for name in _names_of(log, "specific_force", windows):
@@ -665,8 +691,8 @@ def _names_of(log: Log, quantity: Quantity, windows: Mapping[str, _Windows]) -> 
 
 
 def _dip_in_words(force: _Windows, fields: Sequence[_Windows]) -> str:
-    """Return what the first magnetometer's field says about the sign of an accelerometer at rest; "" without a field of
-    the earth's size that is steep enough.
+    """Return the conclusion from the first magnetometer's field on the sign of an accelerometer at rest; "" without a
+    field of the earth's size that is steep enough.
     """
     field = next((each for each in fields if each.width_ns == force.width_ns), None)
     if field is None:
@@ -696,7 +722,7 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
         candidates = [(_factor(each), each) for pair in pairs if (each := _rotations(*pair)) is not None]
         if not candidates:
             continue
-        # Short windows follow quick turns, long ones show slow turns above the noise.
+        # Short windows resolve quick turns; in long ones slow turns exceed the noise.
         (factor, correlation), rotations = next((each for each in candidates if each[0][1] >= FOLLOWS), candidates[-1])
         if correlation < FOLLOWS:
             if axes := _fitting_axes(rotations, log[name]):
@@ -712,7 +738,9 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
 
 
 def radii_of(log: Log) -> dict[str, float]:
-    """Return the length of gravity in all directions by accelerometer, in g, of those that were turned enough."""
+    """Return the length of gravity in all directions by accelerometer, in g, for accelerometers that were turned
+    enough.
+    """
     spheres = {
         sensor.name: fit_sphere(_Windows(sensor, row_timing(sensor)).mean)
         for sensor in log.of("specific_force")
@@ -739,7 +767,7 @@ def turns_of(log: Log) -> float | None:
 
 class _Rotations(NamedTuple):
     """Changes of the direction of gravity (n, 3) between windows of `width_s`, its direction in their middle (n, 3),
-    and the rates (n, 3) in rad/s by the gyroscope meanwhile.
+    and the gyroscope's rates (n, 3) in rad/s meanwhile.
     """
 
     turned: Floats
@@ -749,7 +777,9 @@ class _Rotations(NamedTuple):
 
 
 def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
-    """Return the rotations that an accelerometer and a gyroscope saw in the same windows; None if they are too few."""
+    """Return the rotations that an accelerometer and a gyroscope measured in the same windows; None if they are too
+    few.
+    """
     if force.width_ns != rate.width_ns:
         return None
     common, force_rows, rate_rows = np.intersect1d(force.number, rate.number, return_indices=True)
@@ -796,7 +826,7 @@ def _factor(rotations: _Rotations) -> tuple[float, float]:
 
 
 def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
-    """Describe a gyroscope that agrees with the rotation of gravity with other axes only; "" if it does with none."""
+    """Describe a gyroscope that agrees with the rotation of gravity only with other axes; "" if no axes agree."""
     fits = [_factor(rotations._replace(rates=rotations.rates @ turn.T)) for turn in TURNS]
     proper = np.array([correlation if factor > 0 else 0.0 for factor, correlation in fits])
     best, second = np.argsort(-proper)[:2]
@@ -813,11 +843,12 @@ def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
 
 
 def _weighted_means(means: Floats, follows: npt.NDArray[np.bool_]) -> Floats:
-    """Return the means (n - 1, 3) over two windows that weigh the time between their middles by a triangle, as the
-    change of the window means of an integral is, from the means (n, 3) of windows that follow each other (n - 1,).
+    """Return the means (n - 1, 3) over pairs of consecutive windows, with a triangular weight on time like the change
+    of the window means of an integral, from the means (n, 3) of the windows and from which of them `follows` the one
+    before (n - 1,).
 
-    The plain mean of both weighs by a rectangle, whose variance is a sixth of a squared window larger: half of that
-    times the second derivative is subtracted, where both neighbours are known.
+    The plain mean of both has a rectangular weight with a variance that is larger by a sixth of a squared window; half
+    of that times the second derivative is subtracted if both neighbours are known.
     """
     pairs = (means[1:] + means[:-1]) / 2
     if len(means) < 4:
