@@ -49,7 +49,10 @@ def test_the_uncertainty_is_a_column_in_seconds(queue: Path) -> None:
         np.testing.assert_allclose(stated[:], STATED_S, rtol=1e-6)
 
 
-def test_info_reports_the_uncertainty(queue: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_reports_the_uncertainty(
+    queue: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)  # lines are not broken
     assert main(["info", str(queue)]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if " rows " in line}
     assert "times known within 21 us (at worst 500 us)" in lines["Q"]
