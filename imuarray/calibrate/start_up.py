@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ from imuarray.log import Log
 
 _SECONDS = 10.0
 _STILL = ("static", "room", "run ")
+_ROUNDING = 1 / 12
+"""Variance of the rounding of a reading to a count."""
 
 
 @dataclass(frozen=True)
@@ -51,30 +54,57 @@ def state_of(
     means: Mapping[str, npt.ArrayLike],
     calibration: Calibration,
     *,
+    errors: Mapping[str, npt.ArrayLike] = MappingProxyType({}),
     ranges: Ranges = NO_RANGES,
     limit: float = 8.0,
     pose_g: float = 0.02,
 ) -> dict[str, StartUp]:
     """Return the start-up state of each sensor that has a `turn_on`, from its mean counts (3,) over some seconds at
-    rest.
+    rest and their standard errors (3,), which are 0 for sensors without.
 
     Accelerometers must be in the pose of the calibration runs, within `pose_g`. A start more than `limit` spreads from
     every state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
     """
     calibrated = {name: sensor for name, sensor in calibration.sensors.items() if name in means}
     return {
-        name: _start_up(np.asarray(means[name], float), sensor, sensor.turn_on, ranges.get(name, {}), limit, pose_g)
+        name: _start_up(
+            _RestMean(np.asarray(means[name], float), np.asarray(errors.get(name, 0.0), float)),
+            sensor,
+            sensor.turn_on,
+            ranges.get(name, {}),
+            limit,
+            pose_g,
+        )
         for name, sensor in calibrated.items()
         if sensor.turn_on is not None and sensor.turn_on.states
     }
 
 
+class _RestMean(NamedTuple):
+    """Mean counts (3,) at rest and their standard errors, (3,) or 0."""
+
+    counts: Floats
+    error: Floats
+
+    @classmethod
+    def of(cls, counts: npt.NDArray[Any]) -> _RestMean:
+        """Return the mean of counts (n, 3), n > 0. Its error is that of white noise and rounding."""
+        readings = np.asarray(counts, float)
+        return cls(readings.mean(axis=0), np.sqrt((readings.var(axis=0) + _ROUNDING) / len(readings)))
+
+
 def _start_up(
-    mean: Floats, sensor: SensorCalibration, turn_on: TurnOn, ranges: Mapping[float, float], limit: float, pose_g: float
+    rest: _RestMean,
+    sensor: SensorCalibration,
+    turn_on: TurnOn,
+    ranges: Mapping[float, float],
+    limit: float,
+    pose_g: float,
 ) -> StartUp:
+    mean = rest.counts
     gravity = np.zeros(3) if turn_on.gravity_lsb is None else turn_on.gravity_lsb
     tilt = pose_g * sensor.scale_lsb_per_unit if turn_on.gravity_lsb is not None else 0.0
-    spread = np.maximum(np.hypot(turn_on.spread_lsb, tilt), 1e-9)
+    spread = np.maximum(np.sqrt(np.square(turn_on.spread_lsb) + tilt**2 + rest.error**2), 1e-9)
     usual = np.array([state.bias_lsb for state in turn_on.states]) + gravity
     distances = np.sqrt(np.mean(((mean - usual) / spread) ** 2, axis=1))
     state = int(distances.argmin())
@@ -100,8 +130,8 @@ def start_up_states(
     rest the calibration is unchanged. If most accelerometers are far from their states, the box is in another pose than
     in the calibration runs, and only wrong ranges of accelerometers are reported.
     """
-    means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
-    result = without_other_pose(state_of(means, calibration, ranges=ranges), calibration)
+    rests = _first_rests(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
+    result = without_other_pose(_states(rests, calibration, ranges), calibration)
     return in_states(result, calibration), result
 
 
@@ -131,21 +161,27 @@ def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
     return np.asarray(sensor.bias_lsb + biases[state] - biases[nearest])
 
 
-def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
-    """Return mean counts (3,) over the first seconds at rest by sensor, for sensors with readings there."""
+def _states(rests: Mapping[str, _RestMean], calibration: Calibration, ranges: Ranges) -> dict[str, StartUp]:
+    means = {name: rest.counts for name, rest in rests.items()}
+    errors = {name: rest.error for name, rest in rests.items()}
+    return state_of(means, calibration, errors=errors, ranges=ranges)
+
+
+def _first_rests(log: Log, names: Sequence[str]) -> dict[str, _RestMean]:
+    """Return the means over the first seconds at rest by sensor, for sensors with readings there."""
     still = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name.startswith(_STILL)]
     if names and not still:
         with suppress(CalibrationError):
             still = find_poses(log)
-    means: dict[str, Floats] = {}
+    rests: dict[str, _RestMean] = {}
     for name in names if still else ():
         if name in log.sensors:
             start_ns = still[0].phase.start_ns
             end_ns = min(still[0].phase.end_ns, start_ns + round(_SECONDS * 1e9))
-            counts = np.asarray(log[name].counts[log[name].between(start_ns, end_ns)], float)
+            counts = log[name].counts[log[name].between(start_ns, end_ns)]
             if len(counts):
-                means[name] = counts.mean(axis=0)
-    return means
+                rests[name] = _RestMean.of(counts)
+    return rests
 
 
 def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
@@ -189,7 +225,7 @@ class StartStateDetector:
         """`ranges` are the sensitivities of each sensor's chip by range, by sensor (`ArrayConfig.sensitivities`)."""
         self.sentences: list[str] = []
         self._calibration, self._ranges, self._report = calibration, ranges, report
-        self._means: dict[str, npt.NDArray[Any]] = {}
+        self._rests: dict[str, _RestMean] = {}
         self._starts: dict[str, StartUp] = {}
 
     @property
@@ -207,8 +243,8 @@ class StartStateDetector:
         if calibrated and np.median([_restlessness(counts) for counts in calibrated.values()]) > _RESTLESS:
             self._say("the box was moved in the first seconds: the states of the sensors are not known")
             return {}
-        self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())
-        states = state_of(self._means, self._calibration, ranges=self._ranges)
+        self._rests.update((name, _RestMean.of(counts)) for name, counts in readings.items())
+        states = _states(self._rests, self._calibration, self._ranges)
         possible = without_other_pose(states, self._calibration)
         starts = {name: start for name, start in possible.items() if name in readings}
         self._starts.update(starts)
@@ -238,5 +274,5 @@ def _restlessness(counts: npt.NDArray[Any]) -> float:
         return 0.0
     length = len(counts) // PARTS
     parts = counts[: PARTS * length].reshape(PARTS, length, -1).astype(float)
-    noise = parts.var(axis=1, ddof=1).mean(axis=0) + 1 / 12  # a code is a rounded value
+    noise = parts.var(axis=1, ddof=1).mean(axis=0) + _ROUNDING
     return float((parts.mean(axis=1).var(axis=0, ddof=1) / (noise / length)).max())

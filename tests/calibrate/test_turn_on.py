@@ -360,6 +360,12 @@ def test_the_distance_of_a_start_from_the_states_by_hand(
     assert bool(result["G"].explanation) is fault
 
 
+def test_the_standard_error_of_a_short_rest_counts_in_the_distance() -> None:
+    """A spread of 1 count and an error of 3: 30 counts along one axis are a distance of 30 / sqrt(3 (1 + 9)) = 5.5."""
+    start = state_of({"G": (0.0, 30.0, 0.0)}, started(), errors={"G": (3.0, 3.0, 3.0)})["G"]
+    assert (start.distance, start.fault) == (pytest.approx(30 / np.sqrt(30)), False)
+
+
 def test_a_slight_tilt_is_not_a_fault() -> None:
     """Gravity of 512 counts, a pose known to 0.02 g (2.28 counts of 114): 10 counts are less than 8 spreads of 2.33."""
     tilted = started(gravity_lsb=np.array([0.0, 0.0, 512.0]))
