@@ -248,15 +248,16 @@ def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[fl
 
 @pytest.mark.slow
 def test_p_values_are_uniform_though_most_comparisons_end_early() -> None:
-    """Of 300 recordings without a gap at most a share a has p <= a, within three standard errors; half of them end
-    after 24 replicates, three of four after 40 (43.4 on average: 24 + 16 / 2 + 24 / 4 + 36 * 15 / 100).
+    """Of 300 recordings without a gap at most a share a has p <= a, within three standard errors; three of
+    five end after 24 replicates, three of four after 40 (42.0 on average: 24 + 16 * 0.4 + 24 * 0.25 + 32 * 0.16 +
+    4 * 0.13).
     """
     found = np.array([sequential(seed) for seed in range(300)])
     for level in (0.05, 0.1, 0.2, 0.4, 0.8):
         assert np.mean(found[:, 0] <= level) <= level + 3 * np.sqrt(level * (1 - level) / 300)
-    assert np.mean(found[:, 1] == 24) == pytest.approx(0.5, abs=0.09)
+    assert np.mean(found[:, 1] == 24) == pytest.approx(0.6, abs=0.09)
     assert np.mean(found[:, 1] <= 40) == pytest.approx(0.75, abs=0.09)
-    assert found[:, 1].mean() == pytest.approx(43.4, abs=5.0)
+    assert found[:, 1].mean() == pytest.approx(42.0, abs=5.0)
 
 
 @pytest.mark.slow

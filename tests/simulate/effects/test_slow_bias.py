@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -102,11 +103,14 @@ def test_only_common_mode_is_shared_by_sensors_of_a_design(place: MakePlace, ana
         assert not np.array_equal(first, other)
 
 
+TWO = ((1, 10.0), (2, 1000.0))
+
+
 @pytest.mark.slow
-def test_two_time_constants_are_drawn_independently(place: MakePlace, analog: MakeAnalog) -> None:
+def test_two_of_an_effect_in_a_chain_are_drawn_independently(place: MakePlace, analog: MakeAnalog) -> None:
     """Correlation of 900 pairs: standard error 1 / 30; five of them 6e-7."""
     pairs = [
-        [added(BiasInstability(1.0, tau), place(seed=seed), analog, 0, 1)[0] for tau in (10.0, 1000.0)]
+        [added(BiasInstability(1.0, tau), replace(place(seed=seed), copy=copy), analog, 0, 1)[0] for copy, tau in TWO]
         for seed in range(300)
     ]
     first, second = np.array(pairs).swapaxes(0, 1).reshape(2, -1)
