@@ -60,14 +60,37 @@ class Repeats:
         return self.new_share * rate_hz
 
 
+class LongestRuns:
+    """Lengths of the two longest runs of equal readings, and the first row of the longest; the first of equal ones."""
+
+    def __init__(self) -> None:
+        self.longest = self.next_longest = self.first_row = 0
+        self._start = 0
+
+    def end_at(self, starts: npt.NDArray[np.int64]) -> None:
+        """Add the runs that end where the next ones start, at rows `starts` (k,)."""
+        if len(starts) == 0:
+            return
+        lengths = np.diff(starts, prepend=self._start)
+        at = int(lengths.argmax())
+        length = int(lengths[at])
+        lengths[at] = 0
+        if length > self.longest:
+            self.next_longest = max(self.longest, int(lengths.max()))
+            self.longest, self.first_row = length, int(starts[at]) - length
+        else:
+            self.next_longest = max(self.next_longest, length)
+        self._start = int(starts[-1])
+
+
 class RepeatTally:
     """Compares rows of counts with those before them."""
 
     def __init__(self) -> None:
         self._before: Counts | None = None
         self._compared = self._equal = self._far_compared = self._far_equal = 0
-        self._rows = self._begun = 0
-        self._longest = (0, 0)
+        self._rows = 0
+        self._runs = LongestRuns()
 
     def update(self, counts: Counts) -> None:
         """Add the next rows (n, k) of the run."""
@@ -83,13 +106,13 @@ class RepeatTally:
         self._far_compared += max(0, len(rows) - far)
         if len(rows) > far:
             self._far_equal += int(np.count_nonzero(_equal_rows(rows[far:], rows[far - APART : -APART])))
-        self._find_runs(self._rows + begin - earlier + np.flatnonzero(~equal))
+        self._runs.end_at(self._rows + begin - earlier + np.flatnonzero(~equal))
         self._rows += len(counts)
         self._before = rows[-APART:].copy(order="K")
 
     def end_run(self) -> None:
         """End a run at a gap: the next row is not compared with the one before."""
-        self._find_runs(np.array([self._rows]))
+        self._runs.end_at(np.array([self._rows]))
         self._before = None
 
     def result(self) -> Repeats:
@@ -99,50 +122,27 @@ class RepeatTally:
         chance = self._far_equal / self._far_compared if self._far_compared else nan
         by_chance = 0.0 if np.isnan(chance) else chance
         new = min(1.0, (1 - share) / (1 - by_chance)) if self._compared and by_chance < 1 else nan
-        return Repeats(self._rows, share, chance, new, *self._longest)
-
-    def _find_runs(self, starts: npt.NDArray[np.int64]) -> None:
-        """Update the longest run of equal rows by the runs that end at `starts`."""
-        if len(starts) == 0:
-            return
-        lengths = starts - np.concatenate([[self._begun], starts[:-1]])
-        at = int(lengths.argmax())
-        if lengths[at] > self._longest[0]:
-            self._longest = (int(lengths[at]), int(starts[at] - lengths[at]))
-        self._begun = int(starts[-1])
+        return Repeats(self._rows, share, chance, new, self._runs.longest, self._runs.first_row)
 
 
-class RunTally:
-    """The two longest runs of equal codes of an axis: first row and length of the longest, length of the next."""
+class RunTally(LongestRuns):
+    """The longest runs of equal codes of one axis, over `rows` rows."""
 
     def __init__(self) -> None:
-        self.rows = self.first_row = self.longest = self.next_longest = 0
-        self._begun, self._before = 0, np.zeros(0, np.int64)
+        super().__init__()
+        self.rows = 0
+        self._before = np.zeros(0, np.int64)
 
     def update(self, codes: Counts) -> None:
         """Add the next codes (n,)."""
         column = np.concatenate([self._before, codes])
-        starts = self.rows - len(self._before) + 1 + np.flatnonzero(column[1:] != column[:-1])
+        self.end_at(self.rows - len(self._before) + 1 + np.flatnonzero(column[1:] != column[:-1]))
         self.rows += len(codes)
-        self._end(starts)
         self._before = column[-1:]
 
     def finish(self) -> None:
         """End the last run."""
-        self._end(np.array([self.rows]))
-
-    def _end(self, starts: npt.NDArray[np.int64]) -> None:
-        """Consider the runs that end where others begin, at `starts` (k,)."""
-        if not len(starts):
-            return
-        lengths = np.diff(starts, prepend=self._begun)
-        for at in np.argsort(lengths)[-2:].tolist():
-            if lengths[at] > self.longest:
-                self.next_longest, self.longest = self.longest, int(lengths[at])
-                self.first_row = int(starts[at]) - self.longest
-            else:
-                self.next_longest = max(self.next_longest, int(lengths[at]))
-        self._begun = int(starts[-1])
+        self.end_at(np.array([self.rows]))
 
 
 def _equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
