@@ -23,6 +23,8 @@ from imuarray.log import Log
 
 _SECONDS = 10.0
 _STILL = ("static", "room", "run ")
+_LIMIT, _POSE_G = 8.0, 0.02
+"""Largest distance of a usual start from its state, in spreads, and tolerance of the pose of accelerometers, g."""
 _ROUNDING = 1 / 12
 """Variance of the rounding of a reading to a count."""
 
@@ -56,8 +58,8 @@ def state_of(
     *,
     errors: Mapping[str, npt.ArrayLike] = MappingProxyType({}),
     ranges: Ranges = NO_RANGES,
-    limit: float = 8.0,
-    pose_g: float = 0.02,
+    limit: float = _LIMIT,
+    pose_g: float = _POSE_G,
 ) -> dict[str, StartUp]:
     """Return the start-up state of each sensor that has a `turn_on`, from its mean counts (3,) over some seconds at
     rest and their standard errors (3,), which are 0 for sensors without.
@@ -65,19 +67,11 @@ def state_of(
     Accelerometers must be in the pose of the calibration runs, within `pose_g`. A start more than `limit` spreads from
     every state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
     """
-    calibrated = {name: sensor for name, sensor in calibration.sensors.items() if name in means}
-    return {
-        name: _start_up(
-            _RestMean(np.asarray(means[name], float), np.asarray(errors.get(name, 0.0), float)),
-            sensor,
-            sensor.turn_on,
-            ranges.get(name, {}),
-            limit,
-            pose_g,
-        )
-        for name, sensor in calibrated.items()
-        if sensor.turn_on is not None and sensor.turn_on.states
+    rests = {
+        name: _RestMean(np.asarray(mean, float), np.asarray(errors.get(name, 0.0), float))
+        for name, mean in means.items()
     }
+    return _states(rests, calibration, ranges, limit, pose_g)
 
 
 class _RestMean(NamedTuple):
@@ -91,6 +85,21 @@ class _RestMean(NamedTuple):
         """Return the mean of counts (n, 3), n > 0. Its error is that of white noise and rounding."""
         readings = np.asarray(counts, float)
         return cls(readings.mean(axis=0), np.sqrt((readings.var(axis=0) + _ROUNDING) / len(readings)))
+
+
+def _states(
+    rests: Mapping[str, _RestMean],
+    calibration: Calibration,
+    ranges: Ranges,
+    limit: float = _LIMIT,
+    pose_g: float = _POSE_G,
+) -> dict[str, StartUp]:
+    """Return the start-up states by the means at rest, as `state_of` does."""
+    return {
+        name: _start_up(rests[name], sensor, sensor.turn_on, ranges.get(name, {}), limit, pose_g)
+        for name, sensor in calibration.sensors.items()
+        if name in rests and sensor.turn_on is not None and sensor.turn_on.states
+    }
 
 
 def _start_up(
@@ -159,12 +168,6 @@ def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
         return np.asarray(biases[state])
     nearest = int(np.linalg.norm(biases - sensor.bias_lsb, axis=1).argmin())
     return np.asarray(sensor.bias_lsb + biases[state] - biases[nearest])
-
-
-def _states(rests: Mapping[str, _RestMean], calibration: Calibration, ranges: Ranges) -> dict[str, StartUp]:
-    means = {name: rest.counts for name, rest in rests.items()}
-    errors = {name: rest.error for name, rest in rests.items()}
-    return state_of(means, calibration, errors=errors, ranges=ranges)
 
 
 def _first_rests(log: Log, names: Sequence[str]) -> dict[str, _RestMean]:
