@@ -27,7 +27,7 @@ from imuarray.report.calibration_page import calibration_sections, calibration_s
 from imuarray.report.fused_page import fused_sections, fused_summary, techniques_section
 from imuarray.report.log_page import doubt_sections, log_sections, log_summary
 from imuarray.report.page import NO_FIGURES, Section, Verdict, can_draw, write_page
-from imuarray.report.verdicts import calibration_verdict, doubted, joined, recording_verdict
+from imuarray.report.verdicts import calibration_verdict, joined, recording_verdict
 from imuarray.spelling import guess_file
 
 _MOST_BYTES = 1 << 26
@@ -81,7 +81,7 @@ def _log(path: Path, context: PageContext) -> PagePart:
             sections.append(residuals)
         doubts = report_of(log).doubts if log.source == "imported" else ()
         sections[:0] = doubt_sections(log, doubts)
-        verdicts = [doubted(recording_verdict(log), doubts)]
+        verdicts = [recording_verdict(log, doubts)]
         with _second_process(log, context.workers) as executor:
             gains = techniques_section(
                 log, calibration, with_figures=context.with_figures, progress=techniques, executor=executor

@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +31,10 @@ _CLAIMED = 1.5
 """Ratio of scatter to claimed error above which a fused result is worse than it claims."""
 
 
-def recording_verdict(log: Log) -> Verdict:
-    """Return whether a recording is healthy, and what to do if it is not."""
+def recording_verdict(log: Log, doubts: Sequence[str] = ()) -> Verdict:
+    """Return whether a recording is healthy, and what to do if it is not; with `doubts` about an imported recording,
+    their number and the first of them.
+    """
     sensors = log.sensors
     first_ns = min((int(sensor.time[0]) for sensor in sensors.values() if len(sensor)), default=0)
     last_ns = max((int(sensor.time[-1]) for sensor in sensors.values() if len(sensor)), default=0)
@@ -57,16 +58,19 @@ def recording_verdict(log: Log) -> Verdict:
         stalled={name: timing.gaps_s / timing.seconds for name, timing in stalls.items()},
     )
     if not rows:
-        return Verdict(f"{log.path.name} holds no reading.", "bad", ((f"{len(sensors)}", "sensors"), ("0", "readings")))
+        figures = ((f"{len(sensors)}", "sensors"), ("0", "readings"))
+        return Verdict(f"{log.path.name} holds no reading.{_doubts_text(doubts)}", "bad", figures)
     health = health_of(observations)
-    words = {"green": "is healthy", "amber": "is usable, with losses", "red": "has serious losses"}[health.level]
+    healthy = "is complete" if doubts else "is healthy"
+    words = {"green": healthy, "amber": "is usable, with losses", "red": "has serious losses"}[health.level]
     advice = f"; {health.advice}" if health.advice and ended else ""
     advice = advice if ended else "; `imuarray recover` finishes it"
     gaps = sum(observations.gaps.values()) + max((timing.gaps for timing in stalls.values()), default=0)
     clipped = sum(observations.clipped.values())
+    level = _LEVELS[health.level]
     return Verdict(
-        f"{log.path.name} {words}: {health.reason}{advice}.",
-        _LEVELS[health.level],
+        f"{log.path.name} {words}: {health.reason}{advice}.{_doubts_text(doubts)}",
+        "doubtful" if doubts and level == "good" else level,
         (
             (duration((last_ns - first_ns) * 1e-9, 1), "recorded"),
             (f"{rows}", f"readings of {counted(len(sensors), 'sensor')}"),
@@ -77,19 +81,12 @@ def recording_verdict(log: Log) -> Verdict:
     )
 
 
-def doubted(verdict: Verdict, doubts: Sequence[str]) -> Verdict:
-    """Return the verdict on an imported recording with the number of `doubts` about it, and the first of them."""
+def _doubts_text(doubts: Sequence[str]) -> str:
+    """Return a sentence with the number of doubts and the first of them; empty without any."""
     if not doubts:
-        return verdict
-    level: Level = "doubtful" if verdict.level == "good" else verdict.level
-    others = "" if len(doubts) == 1 else ", for example"
-    health = verdict.sentence.replace(" is healthy: ", " is complete: ", 1)
-    number = f"{_ARE[len(doubts) == 1]} {counted(len(doubts), 'doubt')}"
-    sentence = f"{health} But there {number} about it{others}: {doubts[0]}"
-    return replace(verdict, sentence=sentence, level=level)
-
-
-_ARE = {True: "is", False: "are"}
+        return ""
+    are, others = ("is", "") if len(doubts) == 1 else ("are", ", for example")
+    return f" But there {are} {counted(len(doubts), 'doubt')} about it{others}: {doubts[0]}"
 
 
 def _silent(log: Log, ends_ns: tuple[int, int]) -> dict[str, float]:
