@@ -11,13 +11,13 @@ import click
 
 from imuarray.atomic import save_figure, write_text
 from imuarray.commands.options import (
-    declared,
     force_option,
     json_option,
     log_argument,
     only_option,
     option,
     output_option,
+    parameter,
     print_json,
     progress,
     refuse_existing,
@@ -36,14 +36,14 @@ RESULT = "characterise.json"
 class CharacteriseOptions:
     """The options of `imuarray characterise`."""
 
-    run: Path = declared(log_argument)
+    run: Path = parameter(log_argument)
     output: Path | None = output_option(
         folder=True,
         metavar="DIR",
         help=f"write {RESULT} and, with matplotlib, figures into DIR",
     )
     phase: str | None = option(metavar="NAME", help="the phase to evaluate (default: the longest phase at rest)")
-    only: tuple[str, ...] = declared(only_option("only these sensors (default: all with three axes)"))
+    only: tuple[str, ...] = parameter(only_option("only these sensors (default: all with three axes)"))
     estimator: Estimator | None = option(
         type=click.Choice(("overlapping", "decimated")),
         help=(
@@ -54,8 +54,8 @@ class CharacteriseOptions:
     calibration: Path | None = option(
         metavar="CAL.toml", help="scale factors for converting counts to units (default: those of the data sheet)"
     )
-    as_json: bool = declared(json_option)
-    force: bool = declared(force_option)
+    as_json: bool = parameter(json_option)
+    force: bool = parameter(force_option)
 
 
 @click.command("characterise")

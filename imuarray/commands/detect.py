@@ -13,11 +13,11 @@ import click
 from imuarray.commands.options import (
     argument,
     bus_option,
-    declared,
     force_option,
     json_option,
     option,
     output_option,
+    parameter,
     print_json,
     refuse_existing,
     takes,
@@ -40,7 +40,7 @@ class DetectOptions:
     """The options of `imuarray detect`."""
 
     config: Path | None = argument(required=False)
-    bus_url: str | None = declared(bus_option)
+    bus_url: str | None = parameter(bus_option)
     self_test: bool = option(help="run the self-test of each chip, which resets its settings")
     doctor: bool = option(help="diagnose a bus that does not work, with advice: permissions, drivers, disk")
     logs: Path | None = option(
@@ -53,8 +53,8 @@ class DetectOptions:
             " themselves alike (HMC5883, HMC5883L) are distinguished by their self-test"
         ),
     )
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("detect")

@@ -9,12 +9,12 @@ import click
 
 from imuarray.commands.options import (
     argument,
-    declared,
     force_option,
     json_option,
     only_option,
     option,
     output_option,
+    parameter,
     print_json,
     refuse_existing,
     share_progress,
@@ -34,7 +34,7 @@ class ExportOptions:
         metavar=f"RUN{'|'.join(WRITERS)}",
         help="the file to write; its suffix chooses the format",
     )
-    only: tuple[str, ...] = declared(only_option("only these sensors (default: everything)"))
+    only: tuple[str, ...] = parameter(only_option("only these sensors (default: everything)"))
     calibration_file: Path | None = option(
         "--calibration", metavar="CAL.toml", help="write calibrated values, in SI along the axes of the box"
     )
@@ -53,8 +53,8 @@ class ExportOptions:
             " default: the first)"
         ),
     )
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("export")

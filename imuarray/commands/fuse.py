@@ -13,13 +13,13 @@ import numpy as np
 from imuarray.commands.fuse_report import evaluated, notes_sentences, pair_lines, pairs_of, print_evaluation
 from imuarray.commands.options import (
     bars,
-    declared,
     force_option,
     json_option,
     log_argument,
     only_option,
     option,
     output_option,
+    parameter,
     print_json,
     refuse_existing,
     refuse_other_suffix,
@@ -67,13 +67,13 @@ imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
 class FuseOptions:
     """The options of `imuarray fuse`."""
 
-    run: Path = declared(log_argument)
+    run: Path = parameter(log_argument)
     calibration_file: Path | None = option(
         "--calibration", metavar="CAL.toml", help="the calibration to apply (default: data-sheet values)"
     )
     technique: str = option(default="mean", show_default=True, metavar="NAME", help=TECHNIQUE_NAMES)
     output: Path | None = output_option(metavar="FUSED.h5", help="the result to write (optional with --evaluate)")
-    only: tuple[str, ...] = declared(only_option("fuse only these sensors"))
+    only: tuple[str, ...] = parameter(only_option("fuse only these sensors"))
     causal: bool = option(help="use only readings up to each frame, as `log --fuse` does")
     watch: bool | None = option(
         "--watch/--no-watch",
@@ -81,8 +81,8 @@ class FuseOptions:
         help="detect, report and exclude failing sensors (default: only with optimal)",
     )
     evaluate: bool = option(help="compare every technique with the truth in the log, and with the mean")
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("fuse", help=_HELP)

@@ -15,15 +15,15 @@ from imuarray.commands.gap_validate import validate
 from imuarray.commands.options import (
     Steps,
     argument,
-    declared,
     ended_by_signals,
     force_option,
     json_option,
     names_option,
     only_option,
     option,
+    output_folder,
     output_option,
-    prepared_folder,
+    parameter,
     print_json,
     seed_option,
     takes,
@@ -67,34 +67,34 @@ class DiagnoseOptions:
             " data sheets of the log's chips)"
         ),
     )
-    without: tuple[str, ...] = declared(
+    without: tuple[str, ...] = parameter(
         names_option(
             "--without",
             metavar="EFFECT,...",
             help="remove these effects from the library of causes (imuarray simulate --effects lists them)",
         )
     )
-    only: tuple[str, ...] = declared(only_option("diagnose only these sensors"))
+    only: tuple[str, ...] = parameter(only_option("diagnose only these sensors"))
     against: tuple[Path, ...] = option(
         multiple=True,
         metavar="EARLIER.h5",
         help="an earlier log of the same array, to find what has changed since then (may be repeated)",
     )
-    seed: int = declared(seed_option)
+    seed: int = parameter(seed_option)
     replicates: int = option(
         type=click.IntRange(40, 10_000),
         default=128,
         show_default=True,
         help="most simulated replicates, which separate a gap from chance; fewer are used where the result is clear",
     )
-    workers: int = declared(workers_option)
+    workers: int = parameter(workers_option)
     output: Path | None = output_option(
         folder=True,
         metavar="DIR",
         help="write report.html, gap.json and the repaired model, repaired.toml, into DIR",
     )
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @command.command("diagnose", short_help="name the effects that the simulator of recorded logs lacks")
@@ -116,7 +116,7 @@ def diagnose(options: DiagnoseOptions) -> None:
 
     library(options.without)
     output = options.output
-    folder = nullcontext() if output is None else prepared_folder(output, FILES, options.force)
+    folder = nullcontext() if output is None else output_folder(output, FILES, options.force)
     with ended_by_signals(), folder, Steps() as steps:
         steps.begin("opening the logs")
         diagnosis = diagnose_logs(

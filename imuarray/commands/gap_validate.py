@@ -12,11 +12,11 @@ import click
 from imuarray.atomic import save_figure, write_text
 from imuarray.commands.options import (
     PathName,
-    declared,
     json_option,
     names_option,
     option,
     output_option,
+    parameter,
     print_json,
     progress,
     takes,
@@ -52,7 +52,7 @@ class ValidateOptions:
             " plans; none uses only --cases"
         ),
     )
-    effects: tuple[str, ...] = declared(
+    effects: tuple[str, ...] = parameter(
         names_option(
             "--effects",
             metavar="EFFECT,...",
@@ -63,7 +63,7 @@ class ValidateOptions:
             may_be_empty=False,
         )
     )
-    severities: tuple[str, ...] = declared(
+    severities: tuple[str, ...] = parameter(
         names_option(
             "--severities",
             metavar="LIMITS,...",
@@ -102,10 +102,10 @@ class ValidateOptions:
         metavar="processes|tcp://HOST:PORT",
         help="where to run: processes on this machine, or the Dask cluster of a scheduler",
     )
-    workers: int = declared(workers_option)
+    workers: int = parameter(workers_option)
     again: bool = option(help="retry the cases that failed")
     score_only: bool = option(help="score the existing outcomes; run nothing")
-    as_json: bool = declared(json_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("validate", short_help="score the diagnosis on cases whose cause is withheld")

@@ -14,11 +14,11 @@ import click
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import (
     argument,
-    declared,
     force_option,
     json_option,
     option,
     output_option,
+    parameter,
     print_json,
     progress,
     refuse_existing,
@@ -56,8 +56,8 @@ class ImportOptions:
         type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up during the whole recording"
     )
     output: Path | None = output_option(metavar="RUN.h5", help="the log to write")
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("import")

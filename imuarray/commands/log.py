@@ -17,12 +17,12 @@ from imuarray.commands.options import (
     Duration,
     bus_option,
     config_argument,
-    declared,
     force_option,
     json_option,
     only_option,
     option,
     output_option,
+    parameter,
     print_json,
     rate_option,
     refuse_existing,
@@ -153,13 +153,13 @@ def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
 class LogOptions:
     """The options of `imuarray log`."""
 
-    config: Path = declared(config_argument)
-    bus_url: str | None = declared(bus_option)
+    config: Path = parameter(config_argument)
+    bus_url: str | None = parameter(bus_option)
     output: Path = output_option(required=True, metavar="RUN.h5", help="the log to write")
     seconds: float | None = option(
         type=Duration(), metavar="60s", help="duration: 90, 90s, 10min, 8h (default: until interrupted)"
     )
-    rate_hz: float = declared(rate_option)
+    rate_hz: float = parameter(rate_option)
     phase: str = option(
         default="",
         metavar="NAME",
@@ -171,7 +171,7 @@ class LogOptions:
         help="the box axis that points up (default: from the name of the phase, such as z_up)",
     )
     transcript: Path | None = option(metavar="T.jsonl", help="also write a transcript of every transaction")
-    only: tuple[str, ...] = declared(only_option("read only these sensors"))
+    only: tuple[str, ...] = parameter(only_option("read only these sensors"))
     calibration: Path | None = option(
         metavar="CAL.toml",
         help=(
@@ -208,8 +208,8 @@ class LogOptions:
             " token  [default: 127.0.0.1]"
         ),
     )
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
     @property
     def first(self) -> Path:

@@ -98,7 +98,7 @@ _TYPES: Mapping[str, Mapping[str, Any]] = {
 """Settings of parameters that follow from the type of a field."""
 
 
-def declared(decorator: Callable[[Any], Any]) -> Any:
+def parameter(decorator: Callable[[Any], Any]) -> Any:
     """Return a field of a class of options whose parameter a decorator declares, such as `force_option`."""
     return field(metadata={_PARAMETER: lambda name, kind: decorator})
 
@@ -256,7 +256,7 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 
 
 @contextmanager
-def prepared_folder(folder: Path, names: Sequence[str], force: bool) -> Iterator[None]:
+def output_folder(folder: Path, names: Sequence[str], force: bool) -> Iterator[None]:
     """Make a folder as `prepare_folder` does. If the work in the block fails or is interrupted, a folder that did not
     exist before is removed again, unless files are in it.
     """

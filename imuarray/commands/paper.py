@@ -17,7 +17,7 @@ _NO_FIGURES = "; no figures, they need matplotlib: pip install 'imuarray[report]
 _REPLICA_FILES = ("replica.json", "paper.html")
 _GAP_FILE = "gap.json"
 
-output_option = click.option(
+_output = click.option(
     "-o",
     "--output",
     type=PathName(file_okay=False),
@@ -28,7 +28,7 @@ output_option = click.option(
 
 
 @click.command("paper")
-@output_option
+@_output
 @click.option(
     "--replica", is_flag=True, help="simulate the experiments of the paper and compare every statistic, with z scores"
 )

@@ -15,13 +15,13 @@ from imuarray.commands.options import (
     Duration,
     NumberRange,
     argument,
-    declared,
     force_option,
     json_option,
     names_option,
     only_option,
     option,
     output_option,
+    parameter,
     print_json,
     progress,
     rate_option,
@@ -93,7 +93,7 @@ class SimulateOptions:
         show_default=True,
         help="number of boots in a turn-on series, one log each",
     )
-    rate_hz: float = declared(rate_option)
+    rate_hz: float = parameter(rate_option)
     up: str = option(
         type=click.Choice(UP_AXES), default="+Z", show_default=True, help="the box axis that points up in a static log"
     )
@@ -115,13 +115,13 @@ class SimulateOptions:
         metavar="CAL.toml", help="take the parameters of the units from this calibration and the rest from the model"
     )
     population: bool = option(help="draw all units at random from their designs, even units that the model knows")
-    without: tuple[str, ...] = declared(
+    without: tuple[str, ...] = parameter(
         names_option(
             "--without", metavar="EFFECT,...", help="leave these effects out; other random draws do not change"
         )
     )
-    only: tuple[str, ...] = declared(only_option("simulate only these sensors"))
-    seed: int = declared(seed_option)
+    only: tuple[str, ...] = parameter(only_option("simulate only these sensors"))
+    seed: int = parameter(seed_option)
     boot: int = option(
         type=click.IntRange(0), default=0, show_default=True, help="number of the boot: another run of the same units"
     )
@@ -133,8 +133,8 @@ class SimulateOptions:
         help="number of threads; it does not change the result",
     )
     list_effects: bool = option("--effects", help="list the effects and their parameters")
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("simulate")

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from imuarray.commands.options import (
-    declared,
     force_option,
     json_option,
     names_option,
     option,
     output_option,
+    parameter,
     prepare_folder,
     print_json,
     progress,
@@ -45,7 +45,7 @@ class StudyOptions:
     seeds: int | None = option(
         type=click.IntRange(1, 1000), help="number of simulated arrays for each experiment (default: 6)"
     )
-    experiments: tuple[str, ...] = declared(
+    experiments: tuple[str, ...] = parameter(
         names_option(
             "--experiments",
             metavar="NAME,...",
@@ -61,9 +61,9 @@ class StudyOptions:
         ),
     )
     quick: bool = option(help="two seeds of short logs: enough to see what it does, but not for conclusions")
-    workers: int = declared(workers_option)
-    force: bool = declared(force_option)
-    as_json: bool = declared(json_option)
+    workers: int = parameter(workers_option)
+    force: bool = parameter(force_option)
+    as_json: bool = parameter(json_option)
 
 
 @click.command("study")

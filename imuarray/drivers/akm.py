@@ -118,11 +118,11 @@ class Ak8963(ChipDriver):
         self.registers.poke(ak8963.ASTC, 0)
         answer = decoded.counts[0] * self.factors
         self.configure()
-        wanted = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in self.self_test_limits)
-        said = ", ".join(f"{value:+.0f}" for value in answer)
+        limits = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in self.self_test_limits)
+        readings = ", ".join(f"{value:+.0f}" for value in answer)
         if decoded.status[0] & STALE:
             return SelfTest(False, "no answer to the self-test in 10 ms")
-        return SelfTest(within(answer, self.self_test_limits), f"answers {said} counts; limits {wanted}")
+        return SelfTest(within(answer, self.self_test_limits), f"answers {readings} counts; limits {limits}")
 
     def fetch(self) -> bytes:
         """Read 0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
@@ -175,7 +175,7 @@ class Ak8975(Ak8963):
     def _set_mode(self, mode: int) -> Iterator[float]:
         """Set a mode through power-down (AKM-24)."""
         self.registers.poke(ak8975.CNTL, ak8975.MODE(mode).value)
-        yield 0.001
+        yield _MODE_CHANGE_S
 
     def steps(self) -> Iterator[float]:
         """Set the chip up as the AK8963, to the first measurement."""

@@ -22,7 +22,7 @@ else:
 _MOST_AXES = 96
 
 
-def combined(counts: Sequence[npt.NDArray[Any]], gain: Floats, of_bias: Floats) -> Floats | None:
+def combine(counts: Sequence[npt.NDArray[Any]], gain: Floats, of_bias: Floats) -> Floats | None:
     """Return ``gain @ counts - of_bias`` (3, n) of arrays of counts (n, k) with m columns in total; `gain` is (m, 4),
     the last column zero, `of_bias` (3,). None without compiled code, and for counts that are not int16.
     """

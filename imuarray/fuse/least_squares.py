@@ -51,7 +51,7 @@ class ConstantGain:
 
     def __call__(self, counts: Sequence[npt.NDArray[Any]]) -> Floats:
         """Return triads (n, 3) from arrays of counts (n, k) with m columns in total."""
-        compiled = None if self._factors is None else compiled_frames.combined(counts, self._factors, self._of_bias)
+        compiled = None if self._factors is None else compiled_frames.combine(counts, self._factors, self._of_bias)
         if compiled is not None:
             return compiled.T
         triads = np.empty((3, len(counts[0])))  # one row per axis: BLAS takes a third longer for rows of three

@@ -274,10 +274,10 @@ class SimulatedSensor:
         else:
             instants, analog = shared.memory.recall(
                 (shared.owner, first, stop),
-                lambda: self._passed(*self._felt_signal(first, stop, acting), acting[: shared.effects]),
+                lambda: self._apply_analog(*self._felt_signal(first, stop, acting), acting[: shared.effects]),
                 lambda signal: _bytes_of(*signal),
             )
-        _, analog = self._passed(instants, analog, acting[0 if shared is None else shared.effects :])
+        _, analog = self._apply_analog(instants, analog, acting[0 if shared is None else shared.effects :])
         codes = self._coded(analog, instants.phase)
         for effect, at in acting[:until]:
             codes = effect.codes(codes, at)
@@ -296,7 +296,9 @@ class SimulatedSensor:
         return instants, self._sensed(first, instants, felt)
 
     @staticmethod
-    def _passed(instants: Instants, analog: Analog, acting: Sequence[tuple[Effect, Place]]) -> tuple[Instants, Analog]:
+    def _apply_analog(
+        instants: Instants, analog: Analog, acting: Sequence[tuple[Effect, Place]]
+    ) -> tuple[Instants, Analog]:
         """Return the instants and the signal after these effects."""
         for effect, at in acting:
             analog = effect.analog(analog, at)

@@ -369,9 +369,8 @@ def _look_at_all(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return a look at all trials, a few trials of a unit in each job."""
-    most = TOGETHER
     parts = {
-        unit: [unit_trials[first : first + most] for first in range(0, len(unit_trials), most)]
+        unit: [unit_trials[first : first + TOGETHER] for first in range(0, len(unit_trials), TOGETHER)]
         for unit, unit_trials in trials.items()
     }
     looks = _results_of(run, look_at, standings, parts)
