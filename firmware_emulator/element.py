@@ -128,7 +128,7 @@ class SensingElement:
         self._g_sensitivity = times(product(unit.g_sensitivity, from_box), 1 / STANDARD_GRAVITY)
         self._setting = (math.nan, math.nan)
         self._deviation = self._bias = ZERO
-        self._felt: WorldStimulus | None = None
+        self._stimulus: WorldStimulus | None = None
         self._ideal = ZERO
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
@@ -136,8 +136,8 @@ class SensingElement:
         if (full_scale, bandwidth_hz) != self._setting:
             self._set(full_scale, bandwidth_hz)
         stimulus = self._constant or self._world(at_ns)
-        if stimulus is not self._felt:  # the stimulus of a box at rest is the same object for a long time
-            self._felt, self._ideal = stimulus, self._without_noise(stimulus)
+        if stimulus is not self._stimulus:  # the stimulus of a box at rest is the same object for a long time
+            self._stimulus, self._ideal = stimulus, self._without_noise(stimulus)
         used = self._used
         if used >= len(self._noise):
             self._noise, used = self._random.standard_normal(BLOCK).tolist(), 0
@@ -163,7 +163,7 @@ class SensingElement:
         x, y, z = (bias + shifted * shift for bias, shift in zip(unit.bias, unit.shift, strict=True))
         self._bias = x, y, z
         self._setting = full_scale, bandwidth_hz
-        self._felt = None
+        self._stimulus = None
 
     def _without_noise(self, stimulus: WorldStimulus) -> Triple:
         unit, bias = self.unit, self._bias

@@ -87,7 +87,7 @@ class Rocking:
     peak_g: float
     shake_hz: float
 
-    def felt(self, at_s: float, still: WorldStimulus) -> WorldStimulus:
+    def stimulus(self, at_s: float, still: WorldStimulus) -> WorldStimulus:
         """Return the stimulus of a box whose stimulus at rest would be `still`."""
         if not self.start_s < at_s < self.end_s:
             return still
@@ -201,7 +201,7 @@ class Course:
         at_s = max(at_ns, 0) * 1e-9
         stimulus = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
         for motion in self.motions:
-            stimulus = motion.felt(at_s, stimulus)
+            stimulus = motion.stimulus(at_s, stimulus)
         return stimulus
 
     def posed(self, at_s: float) -> WorldStimulus:

@@ -124,11 +124,11 @@ class SixAxis(Chip):
             raise ValueError(f"two sensors are the {half} of one {type(self).__name__}")
         self._elements[half] = element
 
-    def felt(self, half: str, at_ns: int, full_scale: float, bandwidth_hz: float, delay_s: float = 0.0) -> Triple:
+    def sample(self, half: str, at_ns: int, full_scale: float, bandwidth_hz: float, delay_s: float = 0.0) -> Triple:
         """Return the input of one half's converter, in g or dps, `delay_s` before `at_ns`."""
         element = self._elements.get(half)
-        felt_ns = max(self.powered_on_ns, at_ns - round(delay_s * 1e9)) if delay_s else at_ns
-        return (0.0, 0.0, 0.0) if element is None else element.sample(felt_ns, full_scale, bandwidth_hz)
+        input_ns = max(self.powered_on_ns, at_ns - round(delay_s * 1e9)) if delay_s else at_ns
+        return (0.0, 0.0, 0.0) if element is None else element.sample(input_ns, full_scale, bandwidth_hz)
 
     def degc(self, at_ns: int) -> float:
         """Return the temperature of the die."""

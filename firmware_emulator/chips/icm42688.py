@@ -270,7 +270,7 @@ class Icm42688Chip(SixAxis):
         code = facts.ACCEL_RANGE.of(self.page[facts.ACCEL_CONFIG0.address]) & 0b11
         filter_code = facts.ACCEL_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
         bandwidth_hz = self._bandwidth_hz(self._halves[ACCELEROMETER], filter_code)
-        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[0 if self._is_fine else code], bandwidth_hz)
+        force = self.sample(ACCELEROMETER, at_ns, RANGES_G[0 if self._is_fine else code], bandwidth_hz)
         test = self.page[facts.SELF_TEST_CONFIG.address]
         pushed = facts.ACCEL_SELF_TEST.of(test) if facts.ACCEL_SELF_TEST_POWER.of(test) else 0
         if self._is_fine:
@@ -284,7 +284,7 @@ class Icm42688Chip(SixAxis):
         bandwidth_hz = self._bandwidth_hz(self._halves[GYROSCOPE], filter_code)
         previous, rate = (
             self._rate_dps,
-            self.felt(GYROSCOPE, at_ns, RANGES_DPS[0 if self._is_fine else code], bandwidth_hz),
+            self.sample(GYROSCOPE, at_ns, RANGES_DPS[0 if self._is_fine else code], bandwidth_hz),
         )
         self._rate_dps = rate
         if facts.ADAPTIVE_RANGE.of(self.page[facts.INTF_CONFIG1.address]) != 0b01:

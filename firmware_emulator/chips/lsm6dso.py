@@ -190,13 +190,13 @@ class Lsm6dsoChip(SixAxis):
             full_scale, step = RANGES_G[facts.ACCEL_RANGE.of(control)]
             filtered = facts.ACCEL_LPF2_ON.of(control)
             share = ACCEL_FILTER_SHARES[facts.ACCEL_FILTER.of(page[facts.CTRL8_XL.address])] if filtered else 2
-            sample = self.felt(ACCELEROMETER, at_ns, full_scale, rate_hz / share)
+            sample = self.sample(ACCELEROMETER, at_ns, full_scale, rate_hz / share)
             push = {0b01: PUSH_G, 0b10: -PUSH_G}.get(facts.ACCEL_SELF_TEST.of(test), 0.0)
         else:
             control = page[facts.CTRL2_G.address]
             full_scale, step = RANGES_DPS.get(facts.GYRO_RANGE.of(control), RANGES_DPS[0])
             bandwidth_hz = min(GYRO_BANDWIDTHS_HZ.items(), key=lambda known: abs(known[0] - rate_hz))[1]
-            sample = self.felt(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
+            sample = self.sample(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
             push = {0b01: PUSH_DPS, 0b11: -PUSH_DPS}.get(facts.GYRO_SELF_TEST.of(test), 0.0)
         codes = self._codes(sample, push, step)
         self._put(half.first.address, self._marked(codes, half, at_ns) if name == GYROSCOPE else codes)

@@ -96,11 +96,11 @@ class Mpu6050Chip(MpuFamily):
         accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
         low_pass = facts.DLPF.of(page[facts.CONFIG.address])
         scale = facts.ACCEL_RANGE.of(accel)
-        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], *ACCEL_FILTERS[low_pass])
+        force = self.sample(ACCELEROMETER, at_ns, RANGES_G[scale], *ACCEL_FILTERS[low_pass])
         push = self._accel_push() * CODES_PER_G[scale] / CODES_PER_G[0b10]
         ax, ay, az = _codes(force, CODES_PER_G[scale], (push, push, push), facts.ACCEL_SELF_TEST.of(accel))
         scale = facts.GYRO_RANGE.of(gyro)
-        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[low_pass])
+        rate = self.sample(GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[low_pass])
         push = self._gyro_push() * CODES_PER_DPS[scale] / CODES_PER_DPS[0]
         gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], (push, -push, push), facts.GYRO_SELF_TEST.of(gyro))
         temperature = clipped(round((self.degc(at_ns) - 35.0) * 340.0 - 521.0))  # INV-42

@@ -69,11 +69,13 @@ class Mpu6500Chip(MpuFamily):
         control = page[facts.ACCEL_CONFIG_2.address]
         unfiltered = facts.ACCEL_UNFILTERED.of(control)
         low_pass = UNFILTERED_ACCEL if unfiltered else ACCEL_FILTERS[facts.ACCEL_DLPF.of(control)]
-        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], *low_pass)
+        force = self.sample(ACCELEROMETER, at_ns, RANGES_G[scale], *low_pass)
         pushed = facts.ACCEL_SELF_TEST.of(page[facts.ACCEL_CONFIG.address])
         ax, ay, az = self._codes(force, CODES_PER_G[scale], CODES_PER_G[0], pushed)
         scale = facts.GYRO_RANGE.of(page[facts.GYRO_CONFIG.address])
-        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[facts.DLPF.of(page[facts.CONFIG.address])])
+        rate = self.sample(
+            GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[facts.DLPF.of(page[facts.CONFIG.address])]
+        )
         pushed = facts.GYRO_SELF_TEST.of(page[facts.GYRO_CONFIG.address])
         gx, gy, gz = self._codes(rate, CODES_PER_DPS[scale], CODES_PER_DPS[0], pushed)
         temperature = clipped(round((self.degc(at_ns) - 21.0) * 333.87))  # INV-76

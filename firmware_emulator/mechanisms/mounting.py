@@ -31,7 +31,7 @@ class PackageTilt(SensorMechanism):
         length = math.sqrt(x * x + y * y + z * z)
         axis = x / length, y / length, z / length
         cosine, sine = math.cos(math.radians(self.tilt_deg)), math.sin(math.radians(self.tilt_deg))
-        site.chain.felt.append(Rotation(axis, cosine, sine))
+        site.chain.stimulus.append(Rotation(axis, cosine, sine))
 
 
 class Rotation:
@@ -74,7 +74,7 @@ class RotatedPackage(SensorMechanism):
         """Rotate about the sensor's z axis, which in the box frame is the last column of its orientation."""
         x, y, z = (row[2] for row in site.orientation)
         cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[self.quarters % 4]
-        site.chain.felt.append(Rotation((x, y, z), cosine, sine))
+        site.chain.stimulus.append(Rotation((x, y, z), cosine, sine))
 
 
 HALF_NS = 500_000
@@ -102,7 +102,7 @@ class LeverArm(SensorMechanism):
         share = self.arm_m / math.sqrt(x * x + y * y + z * z)
         arm, world = (x * share, y * share, z * share), site.world
 
-        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
+        def changed_stimulus(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             earlier, later = world(max(0, at_ns - HALF_NS)), world(at_ns + HALF_NS)
             if earlier is later is stimulus:
                 return stimulus
@@ -111,7 +111,7 @@ class LeverArm(SensorMechanism):
             turning: Triple = cross(stimulus.rate_box, cross(stimulus.rate_box, arm))
             return stimulus._replace(force_box=plus(force, turning, 1.0))
 
-        site.chain.felt.append(felt)
+        site.chain.stimulus.append(changed_stimulus)
 
 
 @dataclass(frozen=True)

@@ -92,13 +92,13 @@ class SupplyDroop(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Act on the stimulus, before the unit's bias."""
 
-        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
+        def changed_stimulus(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             share = 1 + self.droop * math.expm1(-at_ns * 1e-9 / self.sag_s)
             x, y, z = stimulus.force_box
             force: Triple = (x * share, y * share, z * share)
             return stimulus._replace(force_box=force)
 
-        site.chain.felt.append(felt)
+        site.chain.stimulus.append(changed_stimulus)
 
 
 @dataclass(frozen=True)

@@ -300,10 +300,10 @@ class PipelineDelay(SensorMechanism):
         """Delay the stimulus except for the temperature, which is not filtered."""
         delay_ns, world = round(self.delay_s * 1e9), site.world
 
-        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
+        def changed_stimulus(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             delayed = world(max(0, at_ns - delay_ns))
             if delayed is stimulus:
                 return stimulus
             return delayed._replace(temperature_degc=stimulus.temperature_degc)
 
-        site.chain.felt.append(felt)
+        site.chain.stimulus.append(changed_stimulus)

@@ -2,7 +2,7 @@
 
 Mechanisms act on a sensing element stage by stage::
 
-    world -> felt -> [the unit's own imperfections] -> sensed -> + noise -> amplified -> converter
+    world -> stimulus -> [the unit's own imperfections] -> sensed -> + noise -> amplified -> converter
 
 A stage is a list of functions of the instant, in ns since power-on, and of the output of the previous stage. Instants
 never decrease for one sensor.
@@ -42,13 +42,13 @@ Thermometer = Callable[[int, float], float]
 class Chain:
     """The stages, in data-sheet units (g, dps) and the sensor's axes.
 
-    felt: (at_ns, stimulus) -> stimulus at the sensor's place. sensed: (at_ns, input, stimulus) -> input without noise.
+    stimulus: (at_ns, stimulus) -> stimulus at the sensor's place. sensed: (at_ns, input, stimulus) -> input, no noise.
     noise: (at_ns, noise, rms, bandwidth_hz) -> noise. amplified: (at_ns, input, full scale) -> converter's input.
     full_scale: full scale according to the registers -> actual full scale of the analogue part. thermometer: (at_ns,
     degC of the box) -> degC at the chip's own thermometer.
     """
 
-    felt: list[StimulusStage] = field(default_factory=list)
+    stimulus: list[StimulusStage] = field(default_factory=list)
     sensed: list[Sensed] = field(default_factory=list)
     noise: list[Noise] = field(default_factory=list)
     amplified: list[Amplified] = field(default_factory=list)
@@ -91,10 +91,10 @@ class MountedElement(SensingElement):
         return degc + self.unit.thermometer_offset_degc
 
     def _noiseless(self, stimulus: WorldStimulus, at_ns: int) -> Triple:
-        for stage in self._chain.felt:
+        for stage in self._chain.stimulus:
             stimulus = stage(at_ns, stimulus)
-        if stimulus is not self._felt:
-            self._felt, self._ideal = stimulus, self._without_noise(stimulus)
+        if stimulus is not self._stimulus:
+            self._stimulus, self._ideal = stimulus, self._without_noise(stimulus)
         value = self._ideal
         for sensed in self._chain.sensed:
             value = sensed(at_ns, value, stimulus)

@@ -79,7 +79,7 @@ class BoardToDie(SensorMechanism):
         elapsed = Stopwatch()
         board = die = math.nan
 
-        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
+        def changed_stimulus(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             nonlocal board, die
             seconds, degc = elapsed(at_ns), stimulus.temperature_degc
             if math.isnan(board):
@@ -90,7 +90,7 @@ class BoardToDie(SensorMechanism):
             board += (degc - board) * -math.expm1(-seconds / self.board_s)
             return stimulus._replace(temperature_degc=die)
 
-        site.chain.felt.append(felt)
+        site.chain.stimulus.append(changed_stimulus)
         site.chain.thermometer.append(lambda at_ns, degc: degc if math.isnan(board) else board)
 
 

@@ -15,13 +15,13 @@ Any block of a log can be made alone; the same seed gives the same rows whatever
 from imuarray.callable_package import make_callable
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.model import Model, load_model, parse_model
-from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion
 from imuarray.simulate.record import Written, total_rows, write_log
 from imuarray.simulate.simulation import Plan, Simulation, effects_of, plan_like, plan_of
 
 __all__ = [
     "EFFECTS",
-    "Felt",
+    "BoxStimulus",
     "Model",
     "Motion",
     "Plan",

@@ -10,9 +10,9 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Integers
 from imuarray.simulate.effect import FOREVER_S, Effect
-from imuarray.simulate.signal import Analog, Codes, Felt, Flags, Instants, Place
+from imuarray.simulate.signal import Analog, BoxStimulus, Codes, Flags, Instants, Place
 
-Stage = TypeVar("Stage", Instants, Felt, Analog, Codes)
+Stage = TypeVar("Stage", Instants, BoxStimulus, Analog, Codes)
 
 
 def acting(effect: Effect, run: int) -> Effect | None:
@@ -68,14 +68,14 @@ class _Within(Effect):
         inside = self._inside(instants.stamp_ns)
         return np.where(inside, self.effect.flagged(status, instants, at), status)
 
-    def felt(self, felt: Felt, at: Place) -> Felt:
+    def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
         """Return the stimulus unchanged; ValueError if the effect changes it, because the stamps of rows are unknown at
         this stage.
         """
-        changed = self.effect.felt(felt, at)
-        if changed is not felt:
+        changed = self.effect.stimulus(stimulus, at)
+        if changed is not stimulus:
             raise ValueError(f"spans: {self.effect.name} can't act for a part of a run")
-        return felt
+        return stimulus
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         inside = self._inside(at.stamps(analog.first, analog.first + len(analog.instant_ns)))

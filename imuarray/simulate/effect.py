@@ -2,7 +2,7 @@
 
 The chain of one sensor, in physical order::
 
-    instants  ->  felt  ->  analog  ->  codes
+    instants  ->  stimulus  ->  analog  ->  codes
     times of      force,    the element's     codes on
     the readings  rate,     signal, before    the bus
                   field     the converter
@@ -23,7 +23,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from imuarray.errors import ConfigError
-from imuarray.simulate.signal import Analog, Codes, Felt, Flags, Instants, Place, Triple
+from imuarray.simulate.signal import Analog, BoxStimulus, Codes, Flags, Instants, Place, Triple
 from imuarray.spelling import closest
 
 
@@ -104,9 +104,9 @@ class Effect:
         """Return the flags (n,) that the logger sets in these rows."""
         return status
 
-    def felt(self, felt: Felt, at: Place) -> Felt:
+    def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
         """Return the stimulus at the sensor's place."""
-        return felt
+        return stimulus
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Return the element's signal and the converter's settings."""

@@ -20,10 +20,10 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.model import Model
 from imuarray.simulate.motion.faces import Still, turn_on_run
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.like import LikeLog
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.motion.trajectory import load_trajectory
 from imuarray.simulate.motion.tumble import ORDER, Tumble
 from imuarray.simulate.motion.vehicle import Vehicle

@@ -81,8 +81,8 @@ def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
         exchange = _nearest_axes(sensed)
         yield from _response(sensed @ exchange.T, exchange, header)
     if unit.g_sensitivity_lsb_per_g is not None:
-        felt = unit.g_sensitivity_lsb_per_g @ orientation / header.sensitivity @ exchange.T
-        yield GSensitivity(tuple(felt.ravel().tolist()))
+        stimulus = unit.g_sensitivity_lsb_per_g @ orientation / header.sensitivity @ exchange.T
+        yield GSensitivity(tuple(stimulus.ravel().tolist()))
     if unit.bias_sem_lsb is not None or np.any(unit.bias_lsb):
         yield Bias(triple(unit.bias_lsb / header.sensitivity))
 

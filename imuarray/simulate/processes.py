@@ -124,8 +124,8 @@ class SlowProcess:
         """Return the first and last value of a chunk, including the steps of earlier chunks that still have an
         influence.
         """
-        felt = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
-        earliest = max(0, chunk - felt)
+        stimulus = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
+        earliest = max(0, chunk - stimulus)
         steps = self._ends.normal(earliest, chunk + 2).astype(float)
         steps[1:] *= self._step * math.sqrt(_growth(KNOTS, self._decay))
         if earliest == 0:
@@ -171,10 +171,10 @@ def gauss_markov(
 def _gauss_markov(
     time_constant_s: float, at: Place, effect: str, shared_by: str, scale: Triple, number: int
 ) -> SlowProcess:
-    rows_felt = at.rows_per_s * time_constant_s
-    widest = min(max(1, math.floor(rows_felt / _PER_TIME_CONSTANT)), _WIDEST)
+    rows_per_constant = at.rows_per_s * time_constant_s
+    widest = min(max(1, math.floor(rows_per_constant / _PER_TIME_CONSTANT)), _WIDEST)
     spacing = 1 << (widest.bit_length() - 1)
-    decay = spacing / rows_felt
+    decay = spacing / rows_per_constant
     inside = at.stream(effect, f"inside, number {number}", shared_by=shared_by, chunk_rows=KNOTS)
     ends = at.stream(effect, f"ends, number {number}", shared_by=shared_by, chunk_rows=_ENDS)
     return SlowProcess(spacing, Recursion(decay, math.sqrt(-math.expm1(-2 * decay)), 1.0), inside, ends, scale)

@@ -27,7 +27,7 @@ from imuarray.simulate.converters import code_span, converted, held, latest_read
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.host_latency import DelayedTimes
-from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place, per_row
+from imuarray.simulate.signal import Analog, BoxStimulus, Codes, Instants, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from imuarray.simulate.timeline import Timeline
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -160,7 +160,7 @@ class SimulatedSensor:
         differ only in later effects share it, unless one of these changes the read times or the stimulus.
         """
         chosen, later = self.effects[:count], self.effects[count:]
-        if not any(_changes_felt_signal(effect) for effect in later):
+        if not any(_changes_input_signal(effect) for effect in later):
             boot = self._place.streams.boot
             acting_count = sum(acting(effect, boot) is not None for effect in chosen)
             self._shared = _SharedSignal(memory, (owner, chosen), acting_count)
@@ -270,11 +270,11 @@ class SimulatedSensor:
         """Compute rows first ... stop - 1 through all stages; in the last stage, only up to effect number `until`."""
         shared = self._shared
         if shared is None:
-            instants, analog = self._felt_signal(first, stop, acting)
+            instants, analog = self._input_signal(first, stop, acting)
         else:
             instants, analog = shared.memory.recall(
                 (shared.owner, first, stop),
-                lambda: self._apply_analog(*self._felt_signal(first, stop, acting), acting[: shared.effects]),
+                lambda: self._apply_analog(*self._input_signal(first, stop, acting), acting[: shared.effects]),
                 lambda signal: _bytes_of(*signal),
             )
         _, analog = self._apply_analog(instants, analog, acting[0 if shared is None else shared.effects :])
@@ -283,17 +283,17 @@ class SimulatedSensor:
             codes = effect.codes(codes, at)
         return instants, codes
 
-    def _felt_signal(self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]]) -> tuple[Instants, Analog]:
+    def _input_signal(self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]]) -> tuple[Instants, Analog]:
         """Return the instants at which rows first ... stop - 1 are read, and the signal of the true quantity."""
         stamps = self.timeline.stamps(first, stop)
         instants = Instants(first, stamps, stamps, np.ones(len(stamps), bool), self.header.rate_hz)
         for effect, at in acting:
             instants = effect.sampled(instants, at)
         instants = replace(instants, instant_ns=latest_reading(instants.instant_ns, instants.rate_hz, instants.phase))
-        felt = self._motion.felt(instants.instant_ns)
+        stimulus = self._motion.stimulus(instants.instant_ns)
         for effect, at in acting:
-            felt = effect.felt(felt, at)
-        return instants, self._sensed(first, instants, felt)
+            stimulus = effect.stimulus(stimulus, at)
+        return instants, self._sensed(first, instants, stimulus)
 
     @staticmethod
     def _apply_analog(
@@ -304,10 +304,10 @@ class SimulatedSensor:
             analog = effect.analog(analog, at)
         return instants, analog
 
-    def _sensed(self, first: int, instants: Instants, felt: Felt) -> Analog:
+    def _sensed(self, first: int, instants: Instants, stimulus: BoxStimulus) -> Analog:
         """Return the true quantity along the sensor's axes, before any effect."""
         header, dtype = self.header, self._place.dtype
-        vector_box: Reals = getattr(felt, _COLUMN[header.quantity])
+        vector_box: Reals = getattr(stimulus, _COLUMN[header.quantity])
         unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field is in gauss
         value = _turn_to_sensor(vector_box, self._orientation * unit * header.adjustment, dtype)
         return Analog(
@@ -315,13 +315,13 @@ class SimulatedSensor:
             instants.instant_ns,
             value,
             np.broadcast_to(np.zeros((), dtype), value.shape),
-            _turn_to_sensor(felt.force_box, self._orientation / STANDARD_GRAVITY, dtype),
-            felt.temperature_degc,
+            _turn_to_sensor(stimulus.force_box, self._orientation / STANDARD_GRAVITY, dtype),
+            stimulus.temperature_degc,
             header.sensitivity,
             self._span.lowest,
             self._span.highest,
             self._span.step,
-            felt.temperature_degc,
+            stimulus.temperature_degc,
             instants.rate_hz,
         )
 
@@ -367,10 +367,10 @@ class SimulatedBarometer:
     def block(self, start: int, stop: int) -> Block:
         """Return rows start ... stop - 1."""
         stamps = self.timeline.stamps(start, stop)
-        felt = self._motion.felt(stamps)
+        stimulus = self._motion.stimulus(stamps)
         chip = self._barometer
         noise = self._noise.normal(start, stop)[:, 0] * chip.noise_pa
-        degc, pa = np.asarray(felt.temperature_degc, float), np.asarray(felt.pressure_pa + noise, float)
+        degc, pa = np.asarray(stimulus.temperature_degc, float), np.asarray(stimulus.pressure_pa + noise, float)
         ut, up = chip.uncompensated(degc, pa, chip.words)
         temperature, pressure = chip.compensate(ut, up, chip.words)
         counts = np.stack([ut, up], axis=1).astype(np.int32)
@@ -382,10 +382,10 @@ class SimulatedBarometer:
         return np.zeros(0, np.int64)
 
 
-def _changes_felt_signal(effect: Effect) -> bool:
+def _changes_input_signal(effect: Effect) -> bool:
     """Return whether an effect changes the instants at which rows are read, or the stimulus at these instants."""
     kind = type(effect)
-    return kind.sampled is not Effect.sampled or kind.felt is not Effect.felt
+    return kind.sampled is not Effect.sampled or kind.stimulus is not Effect.stimulus
 
 
 def _bytes_of(instants: Instants, analog: Analog) -> int:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Integers, Reals
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion
 from imuarray.simulate.streams import CHUNK, Stream, Streams
 
 Counts = npt.NDArray[np.int32]
@@ -27,7 +27,7 @@ Flags = npt.NDArray[np.uint16]
 Triple = tuple[float, float, float]
 Kept = TypeVar("Kept")
 
-__all__ = ["Analog", "Codes", "Felt", "Instants", "Motion", "Place", "Triple", "per_row"]
+__all__ = ["Analog", "BoxStimulus", "Codes", "Instants", "Motion", "Place", "Triple", "per_row"]
 
 
 @dataclass(frozen=True)

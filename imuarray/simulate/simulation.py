@@ -131,12 +131,12 @@ class Simulation:
 
     def truth(self, start: int, stop: int) -> Stimulus:
         """Return rows of `/truth`: the stimulus at the beginning of frames start ... stop - 1."""
-        felt = self.motion.felt(self.plan.frames.stamps(start, stop))
+        stimulus = self.motion.stimulus(self.plan.frames.stamps(start, stop))
         return Stimulus(
-            felt.time_ns,
-            np.asarray(felt.force_box, float),
-            np.asarray(felt.rate_box, float),
-            np.asarray(felt.temperature_degc, float),
+            stimulus.time_ns,
+            np.asarray(stimulus.force_box, float),
+            np.asarray(stimulus.rate_box, float),
+            np.asarray(stimulus.temperature_degc, float),
         )
 
     def _codes_of(self, name: str, first: int, stop: int) -> Codes:

@@ -350,7 +350,7 @@ def _blocks(pair: _LogPair, number: int, is_motion_known: bool) -> Iterator[_Blo
     is_accelerometer = pair.header.unit == "g"
     commanded = force if is_accelerometer else rate
     own_readings = pair.counts / pair.sensor.sensitivity  # a scale factor error also multiplies vibrations
-    felt, turned = (own_readings, rate) if is_accelerometer else (force, own_readings)
+    stimulus, turned = (own_readings, rate) if is_accelerometer else (force, own_readings)
     at_rest = np.ones(len(pair.time), bool) if is_motion_known else pair.rows_at_rest()
     new_at_rest = np.interp(pair.new_time, pair.time, at_rest.astype(float)) > 0.5
     rounding = 0.5 * (_rounding_share(pair.row_sigma, 1) / pi) ** 2
@@ -364,7 +364,7 @@ def _blocks(pair: _LogPair, number: int, is_motion_known: bool) -> Iterator[_Blo
             number,
             pair.new_counts[new_rows].mean(axis=0) - pair.counts[rows].mean(axis=0),
             pair.noise / rows.sum() + rounding,
-            felt[rows].mean(axis=0),
+            stimulus[rows].mean(axis=0),
             turned[rows].mean(axis=0),
             (commanded[last] - commanded[first]) / ((end - begin) * 1e-9),
             float(degc[rows].mean()) - REFERENCE_DEGC,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from imuarray.array import load_array
 from imuarray.log.format import Phase
-from imuarray.simulate import Felt, Simulation, plan_of, write_log
+from imuarray.simulate import BoxStimulus, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.timeline import smooth_step
 from tests.calibrate.conftest import Floats
@@ -40,7 +40,7 @@ class Tumbled:
         """(k, 3) rotation vectors in the box frame from each attitude to the next; no turn after the last."""
         return np.concatenate([(self.attitudes[:-1].inv() * self.attitudes[1:]).as_rotvec(), np.zeros((1, 3))])
 
-    def felt(self, time_ns: np.ndarray) -> Felt:
+    def stimulus(self, time_ns: np.ndarray) -> BoxStimulus:
         seconds = np.clip(time_ns * 1e-9, 0, self.seconds - 1e-6)
         place = (seconds // (self.rest_s + self.turn_s)).astype(int)
         since = seconds - place * (self.rest_s + self.turn_s) - self.rest_s
@@ -48,7 +48,7 @@ class Tumbled:
         attitude = self.attitudes[place] * Rotation.from_rotvec(self.turns[place] * turned[:, None])
         rate = self.turns[place] * speed[:, None] / self.turn_s
         still = np.zeros(len(time_ns))
-        return Felt(
+        return BoxStimulus(
             time_ns,
             attitude.inv().apply([0.0, 0.0, G]),
             rate,

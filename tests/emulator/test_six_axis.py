@@ -72,8 +72,8 @@ def test_a_burst_is_of_one_instant(bench: Callable[[], ChipBench], register: int
         there.wait(0.37)
         x, y, z = words(there.read(register, 6), order)
         assert x == y == z
-        felt_s = there.clock.now_ns() * 1e-9 - delay_s
-        assert x == pytest.approx(felt_s * per_unit, abs=0.0021 * per_unit)
+        input_s = there.clock.now_ns() * 1e-9 - delay_s
+        assert x == pytest.approx(input_s * per_unit, abs=0.0021 * per_unit)
 
 
 def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:

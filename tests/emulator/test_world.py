@@ -55,9 +55,9 @@ def test_tumble_visits_every_face_in_the_papers_order() -> None:
     for index, (start_ns, end_ns, name, up) in enumerate(world.phases):
         assert (start_ns, end_ns) == (index * 12 * S, (index * 12 + 10) * S)
         for at_ns in (start_ns, (start_ns + end_ns) // 2, end_ns - 1):
-            felt = world(at_ns)
-            assert (up, felt.force_box) == expected[name]
-            assert felt.rate_box == (0, 0, 0)
+            stimulus = world(at_ns)
+            assert (up, stimulus.force_box) == expected[name]
+            assert stimulus.rate_box == (0, 0, 0)
     assert world(10**15).force_box == (0, 0, G)
     assert world(-S).force_box == (0, 0, G)
 
@@ -117,8 +117,8 @@ def test_shaking_reaches_and_keeps_its_bounds() -> None:
     assert world.phases[-1].end_ns == 50 * S
     motion = [world(5 * S + i * 5_000_000) for i in range(8001)]
     for axis in range(3):
-        force = max(abs(felt.force_box[axis] - (G if axis == 2 else 0)) for felt in motion) / G
-        rate = math.degrees(max(abs(felt.rate_box[axis]) for felt in motion))
+        force = max(abs(stimulus.force_box[axis] - (G if axis == 2 else 0)) for stimulus in motion) / G
+        rate = math.degrees(max(abs(stimulus.rate_box[axis]) for stimulus in motion))
         assert 5.4 < force <= 6.0
         assert 360 < rate <= 400.0
     for at_ns in (0, 5 * S, 45 * S, 60 * S):

@@ -38,7 +38,7 @@ from imuarray.simulate import parse_model, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.response import Nonlinearity, Scale
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.small_bench import SHORT, Run, prepared
 from tests.gap.small_campaign import BASE, header, units

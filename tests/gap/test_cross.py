@@ -15,7 +15,7 @@ from imuarray.gap.statistics.probes import PROBES, CrossProbe
 from imuarray.gap.statistics.probes.motion import joint_gains
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.faces import resting
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.units import SI_PER_UNIT
 from tests.gap.small_campaign import block, header
 
@@ -219,7 +219,7 @@ class Swaying:
     seconds: float = 40.0
     share_z: float = 0.0
 
-    def felt(self, time_ns: np.ndarray) -> Felt:
+    def stimulus(self, time_ns: np.ndarray) -> BoxStimulus:
         sway = swaying(time_ns * 1e-9) * [1.0, 1.0, self.share_z]
         return replace(resting(time_ns, np.eye(3), 25.0), force_box=9.80665 * sway, rate_box=np.radians(100) * sway)
 

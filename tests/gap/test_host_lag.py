@@ -15,8 +15,8 @@ from imuarray.log import open_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import ClockError, Skew
 from imuarray.simulate.motion.faces import Still
-from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.simulate.record import write_log
 from tests.gap.small_campaign import simulation
 from tests.selection import some
@@ -58,11 +58,11 @@ def test_no_lag_is_estimated_without_motion(tmp_path: Path) -> None:
 class Swing(Still):
     """Turns to and fro about the box's x axis at a rate of 100 dps, 1.2 times a second, all the time."""
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """The stimulus of the box."""
         rate = np.zeros((len(time_ns), 3))
         rate[:, 0] = math.radians(100) * np.sin(2 * math.pi * 1.2 * np.asarray(time_ns) * 1e-9)
-        return replace(super().felt(time_ns), rate_box=rate)
+        return replace(super().stimulus(time_ns), rate_box=rate)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.004, 0.013])

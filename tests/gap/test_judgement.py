@@ -34,7 +34,7 @@ from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
 from imuarray.gap.statistics.tails import NO_TAILS
 from imuarray.simulate.motion.faces import Still, turn_on_run
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
 from tests.gap.search_inputs import found_in

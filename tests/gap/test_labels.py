@@ -238,8 +238,9 @@ def test_corrected_recordings_have_the_true_faces(tmp_path: Path) -> None:
     motion = put_right.experiment.motion
     middles = np.array([(one.start_ns + one.end_ns) // 2 for one in right.phases])
     expected = 9.80665 * np.array([up_vector(up) for up in FACES.values()])
-    np.testing.assert_allclose(motion.felt(middles).force_box, expected, atol=9.8 * 5e-3)  # a tilt is estimated
-    assert np.array_equal(pickle.loads(pickle.dumps(motion)).felt(middles).force_box, motion.felt(middles).force_box)  # noqa: S301
+    np.testing.assert_allclose(motion.stimulus(middles).force_box, expected, atol=9.8 * 5e-3)  # a tilt is estimated
+    copy = pickle.loads(pickle.dumps(motion))  # noqa: S301
+    assert np.array_equal(copy.stimulus(middles).force_box, motion.stimulus(middles).force_box)
     campaign = Campaign((summarised(put_right),))
     assert not find_wrong_labels([put_right], campaign)
     offset = fit(campaign, [motion]).fitted["B1"].offset
@@ -253,7 +254,7 @@ def test_unnoted_attitudes_are_estimated_again_after_the_correction(tmp_path: Pa
     (found,) = found_in(recording)
     (put_right,) = correct_labels([recording], [found])
     at = np.array([(one.start_ns + one.end_ns) // 2 for one in put_right.phases])
-    np.testing.assert_allclose(put_right.experiment.motion.felt(at).force_box[2] / 9.80665, [0, 1, 0], atol=0.03)
+    np.testing.assert_allclose(put_right.experiment.motion.stimulus(at).force_box[2] / 9.80665, [0, 1, 0], atol=0.03)
     assert [one.up for one in put_right.phases][:3] == ["+Z", "+X", ""]
 
 

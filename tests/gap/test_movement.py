@@ -44,7 +44,7 @@ def rate_rad_s(seconds: Floats) -> Floats:
     return np.asarray(np.pi / 8 * (1 - np.cos(2 * np.pi * share)))
 
 
-def felt(header: SensorHeader, seconds: Floats) -> Floats:
+def stimulus(header: SensorHeader, seconds: Floats) -> Floats:
     """Reading (n, 3) of a sensor along its own axes, in its unit: gravity's reaction in the box is (-sin, 0, cos)."""
     turned = angle_rad(seconds)
     if header.unit == "g":
@@ -79,7 +79,7 @@ def written(
             amplitude_g, hertz = shaking if header.unit == "g" else (0.0, 1.0)
             moves = (time >= shaken_s[0] * SECOND) & (time < shaken_s[1] * SECOND)
             shaken = amplitude_g * np.sin(2 * np.pi * hertz * time * 1e-9) * moves
-            reading = (sign * felt(header, time * 1e-9) + biases[number]) * header.sensitivity
+            reading = (sign * stimulus(header, time * 1e-9) + biases[number]) * header.sensitivity
             reading += shaken[:, None] * np.asarray(header.orientation)[2] * header.sensitivity
             noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
             log.append(
@@ -87,8 +87,10 @@ def written(
             )
         if is_tracked:
             time = np.arange(0, 12 * SECOND, SECOND // 50, dtype=np.int64)
-            rate = np.radians(felt(GYRO, time * 1e-9))
-            log.stimulus("reference", Stimulus(time, GRAVITY * felt(ACC, time * 1e-9), rate, np.full(len(time), 25.0)))
+            rate = np.radians(stimulus(GYRO, time * 1e-9))
+            log.stimulus(
+                "reference", Stimulus(time, GRAVITY * stimulus(ACC, time * 1e-9), rate, np.full(len(time), 25.0))
+            )
         for phase in phases:
             log.phase(phase)
     return open_log(path)
@@ -317,10 +319,10 @@ def test_turns_of_a_log_without_a_track_are_simulated(tmp_path: Path) -> None:
     motion = recording.experiment.motion
     assert isinstance(motion, PoseSequence)
     times = np.array([2, 6, 10], np.int64) * SECOND
-    felt_box = motion.felt(times)
+    stimulus_box = motion.stimulus(times)
     half = GRAVITY / np.sqrt(2)
-    np.testing.assert_allclose(felt_box.force_box, [[0, 0, GRAVITY], [-half, 0, half], [-GRAVITY, 0, 0]], atol=0.05)
-    np.testing.assert_allclose(felt_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
+    np.testing.assert_allclose(stimulus_box.force_box, [[0, 0, GRAVITY], [-half, 0, half], [-GRAVITY, 0, 0]], atol=0.05)
+    np.testing.assert_allclose(stimulus_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
 
 
 @pytest.mark.parametrize(("longest_s", "is_compared"), some([(2.0, True), (20.0, False)], 1))

@@ -26,8 +26,8 @@ from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.motion.faces import Still
-from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from tests.gap.small_campaign import PLANS, SECOND, campaign_of, phases_of, simulation
 from tests.selection import some
 
@@ -92,8 +92,8 @@ def test_elements_have_the_usual_lag_of_the_thermometer_or_a_fitted_one() -> Non
 class Warming(Still):
     """A box at rest that is warmed from 24 to 52 degC, with a time constant of a minute."""
 
-    def felt(self, time_ns: Integers) -> Felt:
-        return replace(super().felt(time_ns), temperature_degc=24 + 28 * (1 - np.exp(-time_ns / 60e9)))
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
+        return replace(super().stimulus(time_ns), temperature_degc=24 + 28 * (1 - np.exp(-time_ns / 60e9)))
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 8.0])

@@ -82,7 +82,7 @@ def test_bursts_are_recognised(recordings: dict[str, Recording], name: str, sens
 def test_the_temperature_of_the_die_is_used(recordings: dict[str, Recording]) -> None:
     """10.4 to 28.9 degC; the chip of a nearby barometer was 0.9 degC colder throughout."""
     found = recordings["freeimu_thermal"]
-    degc = found.experiment.motion.felt(np.array([17, 300, 2174], np.int64) * 10**9).temperature_degc
+    degc = found.experiment.motion.stimulus(np.array([17, 300, 2174], np.int64) * 10**9).temperature_degc
     assert degc[[0, 2]] == pytest.approx([10.5, 28.9], abs=0.5)
     assert any("taken from a chip's own thermometer" in note for note in found.notes)
 

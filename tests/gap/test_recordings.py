@@ -177,7 +177,7 @@ def test_rests_are_detected_and_their_attitudes_estimated(tmp_path: Path) -> Non
     assert (found.kind, len(found.phases), isinstance(motion, PoseSequence)) == ("tumble", 10, True)
     assert all(one.name == f"pose {number}" for number, one in enumerate(found.phases, start=1))
     middles = np.array([(one.start_ns + one.end_ns) // 2 for one in found.phases])
-    np.testing.assert_allclose(motion.felt(middles).force_box / 9.80665, ups, atol=1.5e-3)
+    np.testing.assert_allclose(motion.stimulus(middles).force_box / 9.80665, ups, atol=1.5e-3)
     assert found.notes[0] == "No phase is marked as at rest: 10 static stretches were detected."
     assert "not noted in 10 of 10 phases at rest" in found.notes[1]
     campaign = Campaign((summarised(found),))
@@ -189,7 +189,7 @@ def test_rests_are_detected_and_their_attitudes_estimated(tmp_path: Path) -> Non
 def test_one_long_rest_is_a_static_log(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5"))
     assert (found.kind, [one.name for one in found.phases]) == ("static", ["pose 1"])
-    up = found.experiment.motion.felt(np.array([SECOND])).force_box[0] / 9.80665
+    up = found.experiment.motion.stimulus(np.array([SECOND])).force_box[0] / 9.80665
     np.testing.assert_allclose(up, [0, 0, 1], atol=1e-3)
 
 
@@ -316,10 +316,10 @@ def test_the_field_is_the_mean_of_the_magnetometers(tmp_path: Path) -> None:
     found = recorded(path)
     counts = np.array([300.0, -40.0, 500.0])
     box = (np.array(COMPASS.orientation) @ counts + counts) / 2 / 1090
-    felt = found.experiment.motion.felt(np.array([SECOND, 6 * SECOND]))
-    np.testing.assert_allclose(felt.field_box, [box, box], atol=1e-3)
+    stimulus = found.experiment.motion.stimulus(np.array([SECOND, 6 * SECOND]))
+    np.testing.assert_allclose(stimulus.field_box, [box, box], atol=1e-3)
     again = pickle.loads(pickle.dumps(found.experiment.motion))  # noqa: S301
-    np.testing.assert_allclose(again.felt(np.array([SECOND])).field_box, [box], atol=1e-3)
+    np.testing.assert_allclose(again.stimulus(np.array([SECOND])).field_box, [box], atol=1e-3)
 
 
 def test_a_magnetometer_alone_has_no_error_of_level(tmp_path: Path) -> None:
@@ -374,7 +374,7 @@ def test_a_thermometer_of_known_scale_gives_the_temperature(tmp_path: Path, name
     found = recorded(path)
     (note,) = found.notes
     assert note.startswith("There is no reference temperature: it is taken from a chip's own thermometer")
-    degc = found.experiment.motion.felt(np.array([5, 20, 39]) * SECOND).temperature_degc
+    degc = found.experiment.motion.stimulus(np.array([5, 20, 39]) * SECOND).temperature_degc
     assert degc == pytest.approx([36.5 + 2.5, 36.5 + 6.25, 36.5 + 11.0], abs=0.13)
     assert not found.experiment.plan.sensors["Acc"][0].has_temperature  # there is no other thermometer to compare with
     assert missing_in([found], _ABSENT) == (
@@ -417,7 +417,7 @@ def test_the_box_is_assumed_upright_without_accelerometers(tmp_path: Path) -> No
     assert found.notes[0].endswith(
         "no accelerometer to estimate the attitude from: +Z up is assumed where no phase notes it."
     )
-    np.testing.assert_allclose(found.experiment.motion.felt(np.array([0])).force_box, [[0, 0, 9.80665]])
+    np.testing.assert_allclose(found.experiment.motion.stimulus(np.array([0])).force_box, [[0, 0, 9.80665]])
 
 
 def heated_log(path: Path, sensors: Sequence[SensorHeader], phases: Sequence[Phase], warm_degc: float) -> Path:
@@ -503,8 +503,8 @@ def test_the_noise_of_a_reference_is_not_a_motion(tmp_path: Path, noise: float) 
     still = turning_log(tmp_path / "still.h5", 0.0, noise)
     rest = still.phases[0]
     assert [part.name for part in still.phases] == ["pose 1"]
-    felt = still.experiment.motion.felt(np.linspace(rest.start_ns, rest.end_ns - 1, 50).astype(np.int64))
-    assert np.ptp(felt.force_box, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    stimulus = still.experiment.motion.stimulus(np.linspace(rest.start_ns, rest.end_ns - 1, 50).astype(np.int64))
+    assert np.ptp(stimulus.force_box, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
 COURSES = {
@@ -594,7 +594,7 @@ def test_the_noise_of_a_chip_thermometer_is_not_a_temperature_change(tmp_path: P
         log.append("Acc", Block(time, counts, np.zeros(rows, np.uint16), readings))
         log.phase(phase(0, 60, "static", "+Z"))
     seconds = np.arange(5, 56)
-    degc = recorded(path).experiment.motion.felt(seconds * SECOND).temperature_degc
+    degc = recorded(path).experiment.motion.stimulus(seconds * SECOND).temperature_degc
     assert degc[-1] - degc[0] == pytest.approx(50 / 6 * warming, abs=0.5)
     straight = np.polyval(np.polyfit(seconds, degc, 1), seconds)
     assert bool(np.abs(degc - straight).max() < 1e-6) == (not warming)

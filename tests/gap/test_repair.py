@@ -157,12 +157,12 @@ def test_an_unknown_chip_states_its_unit() -> None:
     assert [(part.name, part.unit, part.range) for part in model.sensors] == [("A", "g", 1234.0), ("G", "dps", 1234.0)]
     for one in (accelerometer, gyro):
         kinds = [effect.name for effect in model.effects(one, Streams(2))]
-        felt = ["g_sensitivity"] if one is gyro else []
+        stimulus = ["g_sensitivity"] if one is gyro else []
         assert kinds == [
             "own_clock",
             "misalignment",
             "scale",
-            *felt,
+            *stimulus,
             "bias",
             "turn_on_bias",
             "thermal_bias",

@@ -21,7 +21,7 @@ DAY_NS = np.arange(0, 86_400 * 10**9, 10**9, dtype=np.int64)
 def courses(count: int) -> np.ndarray:
     """Temperatures (count, n) of rooms over a day, minus their mean, in degC."""
     rooms = (draw_room_temperature(STILL, Streams(seed), 0) for seed in range(count))
-    degc = np.array([room.felt(DAY_NS).temperature_degc for room in rooms])
+    degc = np.array([room.stimulus(DAY_NS).temperature_degc for room in rooms])
     return degc - degc.mean(axis=1, keepdims=True)
 
 
@@ -63,6 +63,6 @@ def test_biases_follow_the_room_without_a_recorded_temperature(has_temperature: 
     level_dps = summary.segments.mean[:, 0] / summary.header.sensitivity
     room: Motion = draw_room_temperature(STILL, Streams(replicate_seed(bench.base.seed, 3)), 0)
     at_ns = np.rint(summary.segments.time_s * 1e9).astype(np.int64)
-    degc = (STILL if has_temperature else room).felt(at_ns).temperature_degc
+    degc = (STILL if has_temperature else room).stimulus(at_ns).temperature_degc
     assert (np.ptp(degc) > 0.02) != has_temperature
     np.testing.assert_allclose(level_dps, 100.0 * (degc - 25.0), atol=0.1)

@@ -86,18 +86,18 @@ def test_the_stimulus_is_cached_for_each_owner() -> None:
     calls = []
 
     class Counted(Still):
-        def felt(self, time_ns: Any) -> Any:
+        def stimulus(self, time_ns: Any) -> Any:
             calls.append(len(time_ns))
-            return super().felt(time_ns)
+            return super().stimulus(time_ns)
 
     memory = DrawMemory(1 << 20)
     first, other = (RememberedMotion(Counted(seconds=5), memory, owner) for owner in (0, (0, 1)))
     for _ in range(3):
-        np.testing.assert_array_equal(first.felt(times).force_box, Still(seconds=5).felt(times).force_box)
+        np.testing.assert_array_equal(first.stimulus(times).force_box, Still(seconds=5).stimulus(times).force_box)
     assert (first.seconds, first.phases) == (5, Still(seconds=5).phases)
-    assert not first.felt(times).temperature_degc.flags.writeable
-    first.felt(times[:10])
-    other.felt(times)
+    assert not first.stimulus(times).temperature_degc.flags.writeable
+    first.stimulus(times[:10])
+    other.stimulus(times)
     assert calls == [500, 10, 500]
 
 

@@ -25,8 +25,8 @@ from imuarray.simulate.effects.bias import Bias, CommonMode, RandomWalk
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.faces import Still, resting
-from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from tests.gap.small_campaign import RATE_HZ, header, phases_of
 from tests.selection import some
 
@@ -75,7 +75,7 @@ class Pushed:
     def phases(self) -> tuple[Phase, ...]:
         return (Phase(0, round(self.seconds * 1e9), "static", "+Z"),)
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         rest = resting(time_ns, np.eye(3), 25.0)
         force = np.array(rest.force_box)
         for amplitude, hertz in self.sines:

@@ -164,7 +164,7 @@ def factor(log: LogSummary, sensor: str) -> Floats:
 def turned_rate(motion: PoseSequence, number: int) -> Floats:
     """The rate in dps in the middle of a turn."""
     middle_ns = np.array([(number * (REST_S + TURN_S) - TURN_S / 2) * SECOND], np.int64)
-    return np.asarray(np.degrees(motion.felt(middle_ns).rate_box[0]))
+    return np.asarray(np.degrees(motion.stimulus(middle_ns).rate_box[0]))
 
 
 REVERSED = np.diag([1.0, -1.0, 1.0])

@@ -87,7 +87,7 @@ def test_a_simulation_uses_the_temperature_of_the_external_thermometer(tmp_path:
         like = LikeLog(log)
         assert like.temperature_source == "chip"
         times_ns = np.array([300, 900], np.int64) * 10**9
-        np.testing.assert_allclose(like.felt(times_ns).temperature_degc, degc[[3000, 9000]], atol=0.3)
+        np.testing.assert_allclose(like.stimulus(times_ns).temperature_degc, degc[[3000, 9000]], atol=0.3)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import pytest
 
 from imuarray.chips import CHIPS
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place
+from imuarray.simulate.signal import Analog, BoxStimulus, Codes, Instants, Motion, Place
 from imuarray.simulate.streams import Streams
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -36,14 +36,14 @@ class Constant:
     seconds: float = 3600.0
     phases: tuple[Phase, ...] = field(default=())
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         seconds = time_ns * 1e-9
 
         def column(value: Any, *width: int) -> Floats:
             result = value(seconds) if callable(value) else value
             return np.broadcast_to(np.asarray(result, float), (len(seconds), *width))
 
-        return Felt(
+        return BoxStimulus(
             time_ns,
             column(self.force_box, 3),
             column(self.rate_box, 3),

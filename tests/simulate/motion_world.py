@@ -6,7 +6,7 @@ import numpy as np
 
 from firmware_emulator.world import WorldStimulus
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 
 
 class MotionWorld:
@@ -27,11 +27,11 @@ class MotionWorld:
     def __call__(self, at_ns: int) -> WorldStimulus:
         """Return the stimulus of the box at `at_ns`."""
         if at_ns != self._at_ns:
-            felt = self.motion.felt(np.array([at_ns], np.int64))
-            vectors = (felt.force_box, felt.rate_box, felt.field_box)
+            stimulus = self.motion.stimulus(np.array([at_ns], np.int64))
+            vectors = (stimulus.force_box, stimulus.rate_box, stimulus.field_box)
             force, rate, field = ((x, y, z) for x, y, z in (vector[0].tolist() for vector in vectors))
             self._stimulus = WorldStimulus(
-                force, rate, float(felt.temperature_degc[0]), float(felt.pressure_pa[0]), field
+                force, rate, float(stimulus.temperature_degc[0]), float(stimulus.pressure_pa[0]), field
             )
             self._at_ns = at_ns
         return self._stimulus

@@ -21,12 +21,12 @@ from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import Demand, SimulatedSensor
-from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place
+from imuarray.simulate.signal import Analog, BoxStimulus, Codes, Instants, Place
 from imuarray.simulate.simulation import Simulation, plan_of
 from imuarray.simulate.streams import CHUNK, Stream, Streams
 from tests.selection import some
 
-Row = Instants | Felt | Analog | Codes
+Row = Instants | BoxStimulus | Analog | Codes
 
 HARMFUL: Mapping[str, Mapping[str, Any]] = {
     "clock_error": {"error_ppm": 500.0},
@@ -71,8 +71,8 @@ CHANGED: Mapping[str, set[str]] = {
     "skew": {"Instants.instant_ns"},
     "jitter": {"Instants.instant_ns"},
     "dropped_samples": {"Instants.kept"},
-    "size_effect": {"Felt.force_box"},
-    "thermal_lag": {"Felt.temperature_degc"},
+    "size_effect": {"BoxStimulus.force_box"},
+    "thermal_lag": {"BoxStimulus.temperature_degc"},
     "axis_error": {"Analog.value", "Analog.force_g"},
     "misalignment": {"Analog.value"},
     "nonlinearity": {"Analog.value"},
@@ -158,7 +158,7 @@ class Bench:
         warm = (25 + rows / 100).astype(dtype)
         return (
             self.make_instants(first, stop),
-            self.motion.felt(self.make_instants(first, stop).instant_ns),
+            self.motion.stimulus(self.make_instants(first, stop).instant_ns),
             replace(analog, temperature_degc=warm, thermometer_degc=warm),
             self._codes(first, stop),
         )
@@ -188,8 +188,13 @@ def bench(place, instants, analog, codes, constant) -> Bench:
 
 def passed(effect: Effect, stages: tuple[Row, ...], at: Place) -> tuple[Row, ...]:
     """Each stage's rows after the effect."""
-    instants, felt, analog, codes = stages
-    return effect.sampled(instants, at), effect.felt(felt, at), effect.analog(analog, at), effect.codes(codes, at)
+    instants, stimulus, analog, codes = stages
+    return (
+        effect.sampled(instants, at),
+        effect.stimulus(stimulus, at),
+        effect.analog(analog, at),
+        effect.codes(codes, at),
+    )
 
 
 def columns(stages: tuple[Row, ...]) -> Iterator[tuple[str, Any]]:

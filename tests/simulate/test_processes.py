@@ -133,7 +133,7 @@ def test_another_time_constant_changes_the_process_little(place: MakePlace, rows
     first, other = (
         gauss_markov(time_s, place(rows_per_s=rows_per_s), "b").rows(0, 50_000) for time_s in (100.0, 101.0)
     )
-    # The draws are the same. Those of one moment are felt as exp(-s / T), so that two of 1 % different time constants
+    # The draws are the same. The response to a draw is exp(-s / T), so that two time constants that differ by 1 %
     # have a correlation of 2 sqrt(T U) / (T + U), 1 - 1.2e-5; the mean square of their difference is 2.5e-5.
     assert 1e-6 < ((other - first) ** 2).mean() < 1e-4
 

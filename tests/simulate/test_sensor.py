@@ -256,13 +256,13 @@ class _Rest:
     phases: ClassVar[tuple[Any, ...]] = ()
     seconds: ClassVar[float] = 1e6
 
-    def felt(self, time_ns: Any) -> Any:
-        from imuarray.simulate.motion.felt import Felt
+    def stimulus(self, time_ns: Any) -> Any:
+        from imuarray.simulate.motion.stimulus import BoxStimulus
 
         n = len(time_ns)
         rest = np.broadcast_to(np.array([0.0, 0.0, 9.80665]), (n, 3))
         zero = np.broadcast_to(np.zeros(3), (n, 3))
-        return Felt(time_ns, rest, zero, zero, zero, np.full(n, 25.0), np.full(n, 101325.0))
+        return BoxStimulus(time_ns, rest, zero, zero, zero, np.full(n, 25.0), np.full(n, 101325.0))
 
 
 CROSSED = """

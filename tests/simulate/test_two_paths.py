@@ -23,7 +23,7 @@ from imuarray.acquire import record
 from imuarray.array import ArrayConfig, SensorConfig, load_array, parse_array
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
-from imuarray.simulate import Felt, Motion, Simulation, plan_like, write_log
+from imuarray.simulate import BoxStimulus, Motion, Simulation, plan_like, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import WhiteNoise
@@ -78,8 +78,8 @@ class Later:
     def seconds(self) -> float:
         return self.motion.seconds
 
-    def felt(self, time_ns: Any) -> Felt:
-        return self.motion.felt(time_ns + self.by_ns)
+    def stimulus(self, time_ns: Any) -> BoxStimulus:
+        return self.motion.stimulus(time_ns + self.by_ns)
 
 
 def both(motion: Motion, folder: Path) -> tuple[Log, Log]:

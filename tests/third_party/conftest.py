@@ -25,27 +25,27 @@ from firmware_emulator.world import WorldStimulus
 
 
 class Board(NamedTuple):
-    """One chip on one wire; `felt` is its input."""
+    """One chip on one wire; `stimulus` is its input."""
 
     wire: Wire
     chip: Chip
-    felt: list[WorldStimulus]
+    stimulus: list[WorldStimulus]
 
     def feel(self, stimulus: WorldStimulus, settle_ns: int = 100_000_000) -> None:
         """Change the world and let the chip see it."""
-        self.felt[0] = stimulus
+        self.stimulus[0] = stimulus
         self.wire.clock.sleep_until(self.wire.clock.now_ns() + settle_ns)
 
 
 def board_with(chip: str, address: int, clock: VirtualClock | RealClock | None = None) -> Board:
     """An ideal, noiseless `chip` that was powered up a second ago."""
-    felt = [WorldStimulus()]
+    stimulus = [WorldStimulus()]
     clock = clock or VirtualClock(10**9)
     wire = Wire(clock)
-    element = SensingElement(lambda at_ns: felt[0], chip, "A", IDENTITY, UnitDeviations())
+    element = SensingElement(lambda at_ns: stimulus[0], chip, "A", IDENTITY, UnitDeviations())
     soldered = CHIPS[chip](address, element, clock.now_ns() - 10**9)
     wire.connect(soldered)
-    return Board(wire, soldered, felt)
+    return Board(wire, soldered, stimulus)
 
 
 @pytest.fixture

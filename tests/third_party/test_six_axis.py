@@ -34,12 +34,14 @@ class Bench:
     """An array of ideal chips on one bus, and their input."""
 
     def __init__(self, *sensors: tuple[str, int]) -> None:
-        self.felt = WorldStimulus()
+        self.stimulus = WorldStimulus()
         bench = self
 
         class IdealBoard(Board):
             def element(self, sensor: Any) -> SensingElement:
-                return SensingElement(lambda at_ns: bench.felt, sensor.chip, sensor.name, IDENTITY, UnitDeviations())
+                return SensingElement(
+                    lambda at_ns: bench.stimulus, sensor.chip, sensor.name, IDENTITY, UnitDeviations()
+                )
 
         text = '[array]\nname = "ideal"\n' + "".join(
             f'[[sensor]]\nname = "S{number}"\nchip = "{chip}"\naddress = {address:#x}\n{range_of(chip)}'
@@ -54,7 +56,7 @@ class Bench:
 
     def feel(self, stimulus: WorldStimulus) -> None:
         """Change the world, and let filters settle."""
-        self.felt = stimulus
+        self.stimulus = stimulus
         self.sleep(0.5)
 
 

@@ -119,11 +119,11 @@ static int stays(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssi
     double offset[3], *moved = w->means, *unknown = w->noise; /* which the window is not yet needed for */
     find_usual(a, index, m, w->usual, offset);
     for (Py_ssize_t i = 0; i < m; i++) {
-        const double *felt = w->usual + i * STATES, *covariance = a->first_covariance + i * STATES * STATES;
+        const double *usual = w->usual + i * STATES, *covariance = a->first_covariance + i * STATES * STATES;
         moved[i] = unknown[i] = 0;
         for (int j = 0; j < STATES; j++) {
-            moved[i] += (a->state[i * STATES + j] - a->first_state[i * STATES + j]) * felt[j];
-            for (int l = 0; l < STATES; l++) unknown[i] += felt[j] * covariance[j * STATES + l] * felt[l];
+            moved[i] += (a->state[i * STATES + j] - a->first_state[i * STATES + j]) * usual[j];
+            for (int l = 0; l < STATES; l++) unknown[i] += usual[j] * covariance[j * STATES + l] * usual[l];
         }
     }
     for (Py_ssize_t i = 0; i < m; i++) {
@@ -230,12 +230,12 @@ CLONES static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, 
         if (!(squares * a->precision[i] < limits->limit)) return 0;
     }
     for (Py_ssize_t i = 0; i < m; i++) {
-        double *felt = w->usual + i * STATES, *aged = w->aged + i * STATES * STATES, doubt = 0;
+        double *usual = w->usual + i * STATES, *aged = w->aged + i * STATES * STATES, doubt = 0;
         for (int j = 0; j < STATES * STATES; j++)
             aged[j] = a->covariance[i * STATES * STATES + j] * a->kept[j] + a->fresh[j];
         aged[0] += limits->wander * a->variance[i];
         for (int j = 0; j < STATES; j++)
-            for (int l = 0; l < STATES; l++) doubt += felt[j] * aged[j * STATES + l] * felt[l];
+            for (int l = 0; l < STATES; l++) doubt += usual[j] * aged[j * STATES + l] * usual[l];
         w->noise[i] = a->colour[i] * a->variance[i] + jitter[i];
         w->doubt[i] = w->noise[i] / (double)n + doubt;
     }

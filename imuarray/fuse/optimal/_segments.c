@@ -86,13 +86,13 @@ typedef struct {
 
 /* The distance within which the usual gain serves: see `SegmentView.reach`. */
 static double reach_of(const View *v, const Usual *u, Py_ssize_t r, Py_ssize_t t, double tolerance) {
-    double felt[TERMS] = {1, u->stimulus[0], u->stimulus[1], u->stimulus[2]}, reach = HUGE_VAL;
+    double terms[TERMS] = {1, u->stimulus[0], u->stimulus[1], u->stimulus[2]}, reach = HUGE_VAL;
     for (Py_ssize_t row = 0; row < r; row++) {
         double product[TERMS], variance = 0, slope = 0, curvature = 0;
         for (Py_ssize_t j = 0; j < t; j++) {
             product[j] = 0;
-            for (Py_ssize_t l = 0; l < t; l++) product[j] += v->errors[((j * t + l) * r + row) * r + row] * felt[l];
-            variance += product[j] * felt[j];
+            for (Py_ssize_t l = 0; l < t; l++) product[j] += v->errors[((j * t + l) * r + row) * r + row] * terms[l];
+            variance += product[j] * terms[j];
             if (j > 0) slope += product[j] * product[j], curvature += v->errors[((j * t + j) * r + row) * r + row];
         }
         double tolerated = tolerance * (u->variance[row] + fmax(variance, 0.0));
@@ -122,7 +122,7 @@ static int prepare(const View *v, Usual *u, Py_ssize_t r, Py_ssize_t k, Py_ssize
     memcpy(u->stimulus, sums, 3 * sizeof(double));
 
     double *weighed = room, *slow = room + r * k, *turned = slow + r * r; /* (p,k), (p,p), (r,k) */
-    double felt[TERMS] = {1, u->stimulus[0], u->stimulus[1], u->stimulus[2]};
+    double terms[TERMS] = {1, u->stimulus[0], u->stimulus[1], u->stimulus[2]};
     for (Py_ssize_t a = 0; a < p; a++)
         for (Py_ssize_t i = 0; i < k; i++)
             weighed[a * k + i] = v->rows[in_use[a] * k + i] / (final ? u->variance[in_use[a]] : 1);
@@ -130,7 +130,7 @@ static int prepare(const View *v, Usual *u, Py_ssize_t r, Py_ssize_t k, Py_ssize
         memset(slow, 0, (size_t)(p * p) * sizeof(double));
         for (Py_ssize_t j = 0; j < t; j++)
             for (Py_ssize_t l = 0; l < t; l++) {
-                double product = felt[j] * felt[l];
+                double product = terms[j] * terms[l];
                 const double *errors = v->errors + (j * t + l) * r * r;
                 for (Py_ssize_t a = 0; a < p; a++)
                     for (Py_ssize_t b = 0; b < p; b++) slow[a * p + b] += product * errors[in_use[a] * r + in_use[b]];
@@ -209,7 +209,7 @@ static double spread(const Frames *f, const Usual *u, Py_ssize_t n, Py_ssize_t k
     double total = 0;
     for (Py_ssize_t frame = 0; frame < n; frame++) {
         const double *x = f->unknowns + frame * k;
-        double felt[TERMS] = {1, x[0], x[1], x[2]}, change = 0, *covariance = f->covariance + frame * k * k;
+        double terms[TERMS] = {1, x[0], x[1], x[2]}, change = 0, *covariance = f->covariance + frame * k * k;
         if (worst > 0) {
             const double *then = frame < back ? f->last_triad + 3 * frame : f->unknowns + (frame - back) * k;
             long long passed = f->time[frame] - (frame < back ? f->last_time[frame] : f->time[frame - back]);
@@ -222,7 +222,7 @@ static double spread(const Frames *f, const Usual *u, Py_ssize_t n, Py_ssize_t k
         for (Py_ssize_t i = 0; i < k * k; i++) covariance[i] = u->noise[i] + change * u->timing[i];
         for (Py_ssize_t j = 0; j < t; j++)
             for (Py_ssize_t l = 0; l < t; l++) {
-                double product = felt[j] * felt[l];
+                double product = terms[j] * terms[l];
                 const double *errors = u->errors + (j * t + l) * k * k;
                 for (Py_ssize_t i = 0; i < k * k; i++) covariance[i] += product * errors[i];
             }
@@ -233,10 +233,10 @@ static double spread(const Frames *f, const Usual *u, Py_ssize_t n, Py_ssize_t k
 static void gather(const Frames *f, Py_ssize_t n, Py_ssize_t r, Py_ssize_t k, Py_ssize_t t) {
     for (Py_ssize_t frame = 0; frame < n; frame++) {
         const double *x = f->unknowns + frame * k, *values = f->values + frame * r, weight = f->weights[frame];
-        double felt[TERMS] = {1, x[0], x[1], x[2]};
+        double terms[TERMS] = {1, x[0], x[1], x[2]};
         for (Py_ssize_t j = 0; j < t; j++) {
-            double weighed = weight * felt[j];
-            for (Py_ssize_t l = 0; l < t; l++) f->squares[j * t + l] += weighed * felt[l];
+            double weighed = weight * terms[j];
+            for (Py_ssize_t l = 0; l < t; l++) f->squares[j * t + l] += weighed * terms[l];
             for (Py_ssize_t row = 0; row < r; row++) f->products[j * r + row] += weighed * values[row];
         }
         if (t > 1)

@@ -367,7 +367,7 @@ static PyObject *effect(PyObject *module, PyObject *args) {
 static void drifts_into(double *moved, double *shared, States states, const double *vector, const double *matrix,
                         const char *drifting, Sparse s, Py_ssize_t n, Py_ssize_t r, Py_ssize_t rows, double *room) {
     Py_ssize_t wide = rows + r;
-    double *cross = room, *later = cross + r * n, *felt = later + r * n, *effects = felt + n * wide;
+    double *cross = room, *later = cross + r * n, *response = later + r * n, *effects = response + n * wide;
     memset(room, 0, (size_t)ROOM_DRIFTS(n, r, rows) * sizeof(double));
     for (Py_ssize_t a = 0; a < r; a++) {
         moved[a] = 0;
@@ -383,10 +383,10 @@ static void drifts_into(double *moved, double *shared, States states, const doub
         for (Py_ssize_t b = 0; b < rows; b++)
             for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
                 double product = s.entries[e] * states.covariance[x * n + s.columns[e]];
-                felt[x * wide + b] += product;
-                if (b < r && !drifting[s.columns[e]]) felt[x * wide + rows + b] += product;
+                response[x * wide + b] += product;
+                if (b < r && !drifting[s.columns[e]]) response[x * wide + rows + b] += product;
             }
-    add_product(effects, (Matrix){later, n, 1}, felt, (Shape){r, n, wide, 0}, -1.0);
+    add_product(effects, (Matrix){later, n, 1}, response, (Shape){r, n, wide, 0}, -1.0);
     for (Py_ssize_t a = 0; a < r; a++)
         for (Py_ssize_t b = 0; b < rows; b++)
             for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {

@@ -315,8 +315,8 @@ class _Group:
             readings = self.lever(readings, np.full((len(frames.time), 3), np.nan) if rate is None else rate)
         if self._other_ends is not None:
             return self._with_views(readings, self._other_ends)
-        felt_degc = degc if self.filter.states.follow_temperature else _NONE
-        return self.filter(readings, self._bias_temperature.of(felt_degc))
+        element_degc = degc if self.filter.states.follow_temperature else _NONE
+        return self.filter(readings, self._bias_temperature.of(element_degc))
 
     def estimate(self, solution: FrameSolution, frames: Frames) -> Estimate:
         """Return the estimate of a solution of `frames`. The noise that the correction of delays added to the readings

@@ -413,14 +413,14 @@ def with_origins(
     """
     lines = lines_of(causes, headers)
 
-    def is_felt(cause: Cause) -> bool:
+    def is_environmental(cause: Cause) -> bool:
         if cause.effect == "tone":
             return any(any(cause is known for known in line.causes) for line in lines)
         return bool(cause.sensors) and all(_wanders_with(cause, headers[name], shared) for name in cause.sensors)
 
     return tuple(
         replace(cause, origin="environment")
-        if cause.origin == "sensor" and cause.action == "add" and is_felt(cause)
+        if cause.origin == "sensor" and cause.action == "add" and is_environmental(cause)
         else cause
         for cause in causes
     )
@@ -544,8 +544,8 @@ def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedS
     table = cause.each.get(header.name) or cause.parameters
     sizes = _sizes(table, f"rms_{header.unit}", f"amplitude_{header.unit}", f"density_{header.unit}_per_sqrt_s")
     squares = np.abs(np.array(header.orientation)) @ np.square(sizes)
-    felt = sum(float(squares["XYZ".index(axis)]) for axis in axes)
-    return felt > 0 and 2 * felt >= float(squares.sum())
+    explained = sum(float(squares["XYZ".index(axis)]) for axis in axes)
+    return explained > 0 and 2 * explained >= float(squares.sum())
 
 
 def _sizes(table: Mapping[str, Any], *names: str) -> Floats:

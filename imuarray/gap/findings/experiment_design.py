@@ -39,9 +39,9 @@ from imuarray.log.format import Phase, SensorHeader
 from imuarray.printable import listed, series
 from imuarray.simulate.converters import THERMOMETERS
 from imuarray.simulate.motion.faces import Still, turn_on_run
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.record import phases_within
 from imuarray.simulate.simulation import Plan, Simulation

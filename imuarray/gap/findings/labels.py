@@ -29,9 +29,9 @@ from imuarray.gap.recording.turns import exchanges
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import PoseSequence
+from imuarray.simulate.motion.stimulus import Motion
 
 ALONG = 0.9
 """Least cosine of the angle between the measured force and the direction of the face on which the box lies (26
@@ -327,7 +327,7 @@ def _rotations_of(noted: Sequence[_LabelledPhase]) -> dict[str, Floats]:
 
 def _rotation_of(noted: Sequence[_LabelledPhase], sensor: str) -> Floats | None:
     pairs = [(item.phase.up, face_of(item.readings_g[sensor])) for item in noted if sensor in item.readings_g]
-    known = [(up, felt) for up, felt in pairs if felt]
+    known = [(up, measured) for up, measured in pairs if measured]
 
     def fits(turn: Floats) -> int:
         return sum(_is_consistent(turn, [pair]) for pair in known)
@@ -343,7 +343,7 @@ def _rotations() -> Iterator[Floats]:
 
 def _is_consistent(turn: Floats, labels: Sequence[tuple[str, str]]) -> bool:
     """Return whether a rotation converts every noted face to the measured one."""
-    return all(np.array_equal(turn @ up_vector(noted), up_vector(felt)) for noted, felt in labels)
+    return all(np.array_equal(turn @ up_vector(noted), up_vector(measured)) for noted, measured in labels)
 
 
 def _with_labels(recording: Recording, wrong: Sequence[WrongLabel]) -> Recording:

@@ -41,7 +41,15 @@ from imuarray.gap.model.populations import (
     usual_flicker,
     usual_model,
 )
-from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fit_sensor, rms_of, slope_of
+from imuarray.gap.model.rest import (
+    REFERENCE_DEGC,
+    FittedParameters,
+    Rest,
+    fit_sensor,
+    rms_of,
+    segment_stimulus,
+    slope_of,
+)
 from imuarray.gap.model.signal_delay import stated_delay
 from imuarray.gap.recording.attitude import attitude_numbers
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary
@@ -64,7 +72,7 @@ from imuarray.simulate.effects.response import SizeEffect, with_position
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.model import Model, noise_bandwidth_hz
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -351,7 +359,7 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     fitted = base.fitted
     campaign = select_fitted(campaign, fitted)
     campaign = with_element_temperatures(campaign, motions, {name: part.lag_s for name, part in fitted.items()})
-    forces = residual_forces(campaign, motions, lambda summary: fitted[summary.header.name].force_felt(summary))
+    forces = residual_forces(campaign, motions, lambda summary: fitted[summary.header.name].mean_force(summary))
     logs = []
     for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
         parts = [
@@ -429,8 +437,8 @@ def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sens
             has_rows = part.rows > 0
             if has_rows.any():
                 place = (number, phase.phase.start_ns)
-                stimulus = felt(summary, motion, forces.get(place))
-                alone = part.mean / summary.header.sensitivity - stimulus.felt
+                stimulus = segment_stimulus(summary, motion, forces.get(place))
+                alone = part.mean / summary.header.sensitivity - stimulus.quantity
                 face = phase.phase.up or phase.phase.name
                 group = (number, face if place not in forces else f"attitude {attitude}")
                 force = np.average(stimulus.force[has_rows], axis=0, weights=part.rows[has_rows])
@@ -514,7 +522,7 @@ def _rows_at_rest(log: LogSummary, sensor: str) -> int:
 def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | None, base: Base) -> PhaseSummary:
     sensors = {}
     for name, summary in phase.sensors.items():
-        predicted = base.fitted[name].predicted(summary, felt(summary, motion, force_box))
+        predicted = base.fitted[name].predicted(summary, segment_stimulus(summary, motion, force_box))
         less = summary.segments.mean - predicted * summary.header.sensitivity
         sensors[name] = replace(summary, segments=replace(summary.segments, mean=less))
     return replace(phase, sensors=sensors)

@@ -25,8 +25,8 @@ from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.probes import PROBES, CrossProbe, Probe
 from imuarray.gap.statistics.probes.probe import ArrayProbe
 from imuarray.gap.statistics.split import Split
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.posed import PoseSequence
+from imuarray.simulate.motion.stimulus import Motion
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from imuarray.gap.recording.recordings import CHIP_LEAD_S
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.segments import Segments
 from imuarray.simulate.effects.temperature import ThermalLag
-from imuarray.simulate.motion.felt import Motion, thermometer_lag_s
+from imuarray.simulate.motion.stimulus import Motion, thermometer_lag_s
 
 LONGEST_LAG_S = 20.0
 """Longest usual time constant, in s, of a chip in a box if no chip thermometer shows a longer one; a longer lag is an

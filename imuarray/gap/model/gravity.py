@@ -14,8 +14,8 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.posed import PoseSequence
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.units import STANDARD_GRAVITY
 
 _INSTANTS = 64
@@ -93,7 +93,7 @@ def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
 def mean_force_g(motion: Motion, phase: Phase) -> Floats:
     """Return the mean specific force (3,) of a motion in a phase, in g, box frame."""
     at_ns = np.linspace(phase.start_ns, phase.end_ns - 1, _INSTANTS).astype(np.int64)
-    return np.asarray(np.mean(motion.felt(at_ns).force_box, axis=0) / STANDARD_GRAVITY)
+    return np.asarray(np.mean(motion.stimulus(at_ns).force_box, axis=0) / STANDARD_GRAVITY)
 
 
 def _readings(phases: Sequence[Mapping[str, Summary]], of: Callable[[Summary], Floats]) -> Floats:

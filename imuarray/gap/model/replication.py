@@ -30,7 +30,7 @@ from imuarray.simulate.effects.bias import Bias, TurnOnBias
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias
-from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, MotionVariant
 from imuarray.simulate.sensor import Demand, SimulatedSensor
 from imuarray.simulate.simulation import Simulation, in_physical_order
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
@@ -62,25 +62,25 @@ class RememberedMotion(MotionVariant):
     memory: DrawMemory
     owner: Hashable
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimuli of the box at times (n,), as read-only arrays."""
-        key = ("felt", self.owner, time_ns.tobytes())
-        return self.memory.recall(key, lambda: _read_only(self.motion.felt(time_ns)), _felt_bytes)
+        key = ("stimulus", self.owner, time_ns.tobytes())
+        return self.memory.recall(key, lambda: _read_only(self.motion.stimulus(time_ns)), _stimulus_bytes)
 
 
-def _read_only(felt: Felt) -> Felt:
+def _read_only(stimulus: BoxStimulus) -> BoxStimulus:
     """Make the arrays of the stimuli read-only, and return the stimuli."""
-    for item in fields(felt):
-        getattr(felt, item.name).flags.writeable = False
-    return felt
+    for item in fields(stimulus):
+        getattr(stimulus, item.name).flags.writeable = False
+    return stimulus
 
 
-def _felt_bytes(felt: Felt) -> int:
+def _stimulus_bytes(stimulus: BoxStimulus) -> int:
     """Return the size of the stimuli in bytes, including their times as a key; constant columns, which store a single
     row, are not counted.
     """
-    columns = [getattr(felt, item.name) for item in fields(felt)]
-    return int(felt.time_ns.nbytes + sum(column.nbytes for column in columns if 0 not in column.strides))
+    columns = [getattr(stimulus, item.name) for item in fields(stimulus)]
+    return int(stimulus.time_ns.nbytes + sum(column.nbytes for column in columns if 0 not in column.strides))
 
 
 Effects = Mapping[str, tuple[Effect, ...]]
@@ -295,7 +295,7 @@ class Stage:
         seed = replicate_seed(self.base.seed, number)
         array = (
             simulated_sources(
-                Simulation(plan, self._felt_motion(log, number), effects, seed=seed, boot=self.first_boot + log)
+                Simulation(plan, self._stimulus_motion(log, number), effects, seed=seed, boot=self.first_boot + log)
             )
             if swapped
             else {}
@@ -372,7 +372,7 @@ class Stage:
         """Cache of the latest signals that several models of a sensor have in common."""
         return DrawMemory(_SIGNALS_BYTES)
 
-    def _felt_motion(self, log: int, number: int) -> Motion:
+    def _stimulus_motion(self, log: int, number: int) -> Motion:
         """Return the motion of a log in a replicate, with a cache of its stimuli."""
         shared = RememberedMotion(self.experiments[log].motion, self._memory, log)
         motion = self._motion(log, number, shared)
@@ -404,7 +404,7 @@ class Stage:
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
             plan,
-            self._felt_motion(log, number),
+            self._stimulus_motion(log, number),
             {name: effects},
             seed=replicate_seed(self.base.seed, number),
             boot=self.first_boot + log,

@@ -28,7 +28,7 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.effects.timing import Skew
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.signal import Triple
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
@@ -166,9 +166,9 @@ class FittedParameters:
 
     def predicted(self, summary: Summary, stimulus: SegmentStimulus) -> Floats:
         """Return the predicted reading (s, 3) of each segment, in the sensor's unit."""
-        return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
+        return np.asarray(stimulus.quantity + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
-    def force_felt(self, summary: Summary) -> Floats:
+    def mean_force(self, summary: Summary) -> Floats:
         """Return the mean specific force (3,) along an accelerometer's axes, in its unit, from its readings corrected
         by these parameters.
         """
@@ -219,22 +219,22 @@ class Rest:
 
 
 class SegmentStimulus(NamedTuple):
-    """Stimulus (s, 3) along a sensor's nominal axes in each segment: the measured quantity (`felt`) in the sensor's
+    """Stimulus (s, 3) along a sensor's nominal axes in each segment: the measured quantity (`quantity`) in the sensor's
     unit, and the specific `force`, in the sensor's unit for an accelerometer and in g for others.
     """
 
-    felt: Floats
+    quantity: Floats
     force: Floats
 
 
-def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> SegmentStimulus:
+def segment_stimulus(summary: Summary, motion: Motion, force_box: Floats | None) -> SegmentStimulus:
     """Return the stimulus along the nominal axes at the segments' mean times; with the force `force_box` (3,) in m/s^2
     instead of that of the motion, if given.
     """
     cache: dict[str, tuple[Motion, SegmentStimulus]] = vars(summary)  # used by the fit, and again by its residual
-    if "felt" not in cache or cache["felt"][0] is not motion:
-        cache["felt"] = (motion, _stimulus(summary, motion))
-    known = cache["felt"][1]
+    if "stimulus" not in cache or cache["stimulus"][0] is not motion:
+        cache["stimulus"] = (motion, _stimulus(summary, motion))
+    known = cache["stimulus"][1]
     if force_box is None:
         return known
     along = np.broadcast_to(force_box @ np.array(summary.header.orientation), known.force.shape)
@@ -247,7 +247,7 @@ def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> SegmentS
 def _stimulus(summary: Summary, motion: Motion) -> SegmentStimulus:
     part, header = summary.segments, summary.header
     at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
-    moment = motion.felt(at_ns)
+    moment = motion.stimulus(at_ns)
     measured = _along(np.asarray(getattr(moment, _COLUMN[header.quantity]), float), header)
     if header.quantity == "specific_force":
         return SegmentStimulus(measured, measured)

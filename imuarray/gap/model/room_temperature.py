@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
-from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, MotionVariant
 from imuarray.simulate.streams import Streams
 
 ROOM_DEGC = (0.02, 0.5)
@@ -44,10 +44,10 @@ class RoomTemperature(MotionVariant):
     period_s: tuple[float, ...]
     phase_rad: tuple[float, ...]
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimuli of the box at times (n,), with the temperature of this room."""
-        felt = self.motion.felt(time_ns)
-        return replace(felt, temperature_degc=felt.temperature_degc + self._wander_degc(np.asarray(time_ns)))
+        stimulus = self.motion.stimulus(time_ns)
+        return replace(stimulus, temperature_degc=stimulus.temperature_degc + self._wander_degc(np.asarray(time_ns)))
 
     def _wander_degc(self, time_ns: Integers) -> Floats:
         time_s = time_ns * 1e-9

@@ -18,7 +18,7 @@ from imuarray.log import Log
 from imuarray.log.format import Phase
 from imuarray.log.writer import Block
 from imuarray.simulate.host_latency import DelayedTimes, lost_rows
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.timeline import Timeline
 from imuarray.units import INERTIAL
 

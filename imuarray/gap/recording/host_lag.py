@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from imuarray.arrays import Floats, Integers
 from imuarray.log import SensorLog
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.units import SI_PER_UNIT
 
 GRID_S = 0.01
@@ -125,10 +125,10 @@ def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
 
 def track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
     """Return the track's values (n, 3) of each quantity, in SI units along the box's axes."""
-    felt = motion.felt(time_ns)
+    stimulus = motion.stimulus(time_ns)
     return {
-        "specific_force": np.asarray(felt.force_box, float),
-        "angular_rate": np.asarray(felt.rate_box, float),
+        "specific_force": np.asarray(stimulus.force_box, float),
+        "angular_rate": np.asarray(stimulus.rate_box, float),
     }
 
 

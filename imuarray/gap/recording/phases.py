@@ -25,9 +25,9 @@ from imuarray.gap.recording.quiet import quiet_rest
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Movement, PoseAttitude
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.units import INERTIAL
 
 Up = tuple[float, float, float]
@@ -210,9 +210,9 @@ def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
     return shows_motion(np.asarray(moment.force_box, float), np.asarray(moment.rate_box, float))
 
 
-def _sampled(phase: Phase, motion: LikeLog) -> Felt:
+def _sampled(phase: Phase, motion: LikeLog) -> BoxStimulus:
     """Return the force, the rate and the temperature of the box at moments evenly spread over a phase."""
-    return motion.felt(np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64))
+    return motion.stimulus(np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64))
 
 
 def _what_is_lacking(log: Log) -> str:

@@ -42,9 +42,9 @@ from imuarray.log.writer import Block
 from imuarray.printable import counted, listed
 from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.host_latency import find_delays, lost_rows
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog, TemperatureSource
 from imuarray.simulate.motion.posed import PoseSequence
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import Timeline, filled
 from imuarray.spelling import guess
@@ -322,7 +322,7 @@ def temperature_of(motion: Motion) -> Temperature:
     """Return the reference temperature of a motion, as a function of time."""
 
     def temperature(time_ns: Times) -> Floats:
-        return np.asarray(motion.felt(time_ns).temperature_degc, float)
+        return np.asarray(motion.stimulus(time_ns).temperature_degc, float)
 
     return temperature
 

@@ -26,7 +26,7 @@ from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.recording.host_lag import track_values
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.units import SI_PER_UNIT
 
 KINEMATIC, CUBES = 9, 3
@@ -230,9 +230,9 @@ class CrossTally:
         rows = np.concatenate([starts[1:], [len(since_ns)]]) - starts
         self._accumulate(place, at, np.add.reduceat(counts, starts, axis=2), rows)
         if self._track is not None and sensor in self._track_places:
-            felt = track_values(self._track, blocks[0].time)
+            stimulus = track_values(self._track, blocks[0].time)
             for track_place, quantity in self._track_places[sensor]:
-                self._accumulate(track_place, at, np.add.reduceat(felt[quantity].T, starts, axis=1), rows)
+                self._accumulate(track_place, at, np.add.reduceat(stimulus[quantity].T, starts, axis=1), rows)
         self._reached[place] = last
         self._finish_segments(int(self._reached.min()))
 

@@ -11,7 +11,7 @@ import numpy as np
 from imuarray.arrays import Reals
 from imuarray.axes import AXES
 from imuarray.simulate.effect import Effect, numbers, per_axis, require, several
-from imuarray.simulate.signal import Analog, Felt, Place, Triple, per_row
+from imuarray.simulate.signal import Analog, BoxStimulus, Place, Triple, per_row
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,18 @@ class SizeEffect(Effect):
     meaning: ClassVar[str] = "a sensor away from the origin of the box senses the rotation of the box as specific force"
     position_mm: Triple = per_axis()
 
-    def felt(self, felt: Felt, at: Place) -> Felt:
+    def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
         """Add the rotational part of the specific force; a force that is constant remains so if there is no
         rotation.
         """
-        rate, acceleration = felt.rate_box, felt.angular_acceleration_box
+        rate, acceleration = stimulus.rate_box, stimulus.angular_acceleration_box
         if rate.strides[0] == acceleration.strides[0] == 0:
             rate, acceleration = rate[:1], acceleration[:1]
         if not (rate.any() or acceleration.any()):
-            return felt
+            return stimulus
         place = np.array(self.position_mm) * 1e-3
         added = np.cross(acceleration, place) + np.cross(rate, np.cross(rate, place))
-        return replace(felt, force_box=felt.force_box + added) if added.any() else felt
+        return replace(stimulus, force_box=stimulus.force_box + added) if added.any() else stimulus
 
 
 def with_position(effects: Sequence[Effect], position_mm: Triple) -> tuple[Effect, ...]:

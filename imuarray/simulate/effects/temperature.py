@@ -10,7 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, per_axis, scalar
-from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple, per_row
+from imuarray.simulate.signal import Analog, BoxStimulus, Motion, Place, Triple, per_row
 
 _STEPS = 50
 """Number of steps of the recursion per time constant."""
@@ -42,11 +42,11 @@ class ThermalLag(Effect):
     slope: Triple = per_axis(suffix="_{u}_per_degc")
     reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
-    def felt(self, felt: Felt, at: Place) -> Felt:
+    def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
         """Replace the temperature of the element by the lagged one."""
-        if self.time_constant_s == 0.0 or any(self.slope) or len(felt.time_ns) == 0:
-            return felt
-        return replace(felt, temperature_degc=self.temperature_degc(felt.time_ns, at.motion))
+        if self.time_constant_s == 0.0 or any(self.slope) or len(stimulus.time_ns) == 0:
+            return stimulus
+        return replace(stimulus, temperature_degc=self.temperature_degc(stimulus.time_ns, at.motion))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Add the bias of the part that lags."""
@@ -59,7 +59,7 @@ class ThermalLag(Effect):
     def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
         """Return the element's temperature (n,) at times (n,), n > 0, in a box with this motion."""
         if self.time_constant_s == 0.0:
-            return np.asarray(motion.felt(time_ns).temperature_degc)
+            return np.asarray(motion.stimulus(time_ns).temperature_degc)
         nodes_ns = self._nodes_ns(time_ns)
         lagged = self._lagged(nodes_ns, motion)
         return np.asarray(np.interp((time_ns - nodes_ns[0]).astype(float), nodes_ns - nodes_ns[0], lagged))
@@ -78,7 +78,7 @@ class ThermalLag(Effect):
         """Return the element's temperature at the nodes, starting in equilibrium at the first one."""
         from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
-        box = motion.felt(nodes_ns).temperature_degc
+        box = motion.stimulus(nodes_ns).temperature_degc
         ratio = self._step_ns() * 1e-9 / self.time_constant_s
         phi = math.exp(-ratio)
         old = -math.expm1(-ratio) / ratio - phi  # weights of the box's temperature at the beginning and end of a step

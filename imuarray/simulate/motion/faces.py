@@ -17,7 +17,7 @@ import numpy as np
 from imuarray.arrays import Integers, Reals
 from imuarray.axes import up_vector
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.simulate.motion.timeline import consecutive, finite, nanoseconds, positive
 from imuarray.units import STANDARD_GRAVITY
 
@@ -100,11 +100,11 @@ def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Reals:
     return tilted(turned(UPRIGHT, shortest_turn("+Z", up)), tilt_deg)
 
 
-def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals) -> Felt:
+def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals) -> BoxStimulus:
     """Return the stimulus of a box at rest in this attitude (3, 3); `temperature_degc` is a number or (n,)."""
     count = len(time_ns)
     zero = np.broadcast_to(np.zeros(3), (count, 3))
-    return Felt(
+    return BoxStimulus(
         time_ns,
         np.broadcast_to(GRAVITY_LEVEL @ attitude, (count, 3)),
         zero,
@@ -146,7 +146,7 @@ class Still:
         """The attitude (3, 3) from the box to the level frame."""
         return standing_on(self.up, self.tilt_deg)
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the reaction to gravity."""
         if self.drift_degc_per_h == 0:
             return resting(time_ns, self.attitude, self.temperature_degc)

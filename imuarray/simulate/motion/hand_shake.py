@@ -11,8 +11,8 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.motion.faces import UPRIGHT, resting
-from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.kinematics import RotationVector, felt_by
+from imuarray.simulate.motion.kinematics import RotationVector, rigid_body_stimulus
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.simulate.motion.timeline import MotionBetweenRests, finite, positive, smooth_step
 from imuarray.units import STANDARD_GRAVITY
 
@@ -81,7 +81,7 @@ class HandShake(MotionBetweenRests):
     def _moving_s(self) -> float:
         return self.motion_s
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus, at rest or in motion."""
         seconds = self.moved_s(time_ns)
         if not ((seconds > 0) & (seconds < self.motion_s)).any():
@@ -89,7 +89,7 @@ class HandShake(MotionBetweenRests):
         envelope = self._envelope(seconds)
         place, _, acceleration = self._place_sines.at(seconds, envelope)
         attitude = RotationVector(*self._turn_sines.at(seconds, envelope))
-        return felt_by(time_ns, attitude, acceleration, place[2], self.temperature_degc)
+        return rigid_body_stimulus(time_ns, attitude, acceleration, place[2], self.temperature_degc)
 
     def position(self, time_ns: Integers) -> Reals:
         """Return (n, 3) of the box's origin in the level frame, in m."""

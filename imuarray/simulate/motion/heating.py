@@ -14,7 +14,7 @@ import numpy as np
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import resting, standing_on
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.simulate.motion.timeline import consecutive, finite, nanoseconds, positive
 
 HEATING_MIN = 2.0
@@ -114,7 +114,7 @@ class Heating:
         constants_ns = np.array([self.scale * 60e9 * stretch.constant_min for stretch in self._profile])
         return np.array([towards, begins - towards, -1 / constants_ns])
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus of a box at rest, at the temperature of that time."""
         since_ns = np.clip(time_ns, 0, self._edges_ns[-1])
         index = np.searchsorted(self._edges_ns[1:-1], since_ns, side="right")

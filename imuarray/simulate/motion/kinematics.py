@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, PA_PER_M
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.units import STANDARD_GRAVITY
 
 _SMALL = 0.2
@@ -35,13 +35,13 @@ class Attitude(Protocol):
         """Return the angular rate in rad/s and the angular acceleration in rad/s2, each (3, n), in the box frame."""
 
 
-def felt_by(
+def rigid_body_stimulus(
     time_ns: Integers, attitude: Attitude, acceleration_level: Reals, height_m: Reals, temperature_degc: float
-) -> Felt:
+) -> BoxStimulus:
     """Return the stimulus of a moving box: `acceleration_level` (3, n) of its origin in m/s2, its height (n,)."""
     rate, angular_acceleration = attitude.rates()
     force_level = acceleration_level + np.array([[0.0], [0.0], [STANDARD_GRAVITY]])
-    return Felt(
+    return BoxStimulus(
         time_ns,
         np.ascontiguousarray(attitude.seen(force_level).T),
         np.ascontiguousarray(rate.T),

@@ -31,7 +31,7 @@ from imuarray.simulate.motion.faces import (
     resting,
     standing_on,
 )
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 
 BLOCK = 16384
 """Rows per block; a multiple of the log's chunks."""
@@ -406,25 +406,25 @@ class LikeLog:
         """The source of the temperature; "nothing" means that 25 degC is assumed."""
         return self._warming[0]
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus by the log's rows or phases; read-only for few instants."""
         if len(time_ns) > _FEW:
-            return self._felt_before(time_ns)
+            return self._stimulus_before(time_ns)
         return self._remembered(np.asarray(time_ns, np.int64).tobytes())
 
-    def _felt_before(self, time_ns: Integers) -> Felt:
+    def _stimulus_before(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus at many instants; the latest stretches are cached."""
         kept, key = self._stretches, (len(time_ns), int(time_ns[0]), int(time_ns[-1]))
         remembered = kept.pop(key, None)
         if remembered is None or not np.array_equal(remembered.time_ns, time_ns):
-            remembered = self._felt(time_ns)
+            remembered = self._stimulus(time_ns)
         kept[key] = remembered
         if len(kept) > _LAST:
             del kept[next(iter(kept))]
         return remembered
 
     @cached_property
-    def _stretches(self) -> dict[tuple[int, int, int], Felt]:
+    def _stretches(self) -> dict[tuple[int, int, int], BoxStimulus]:
         """A cache of stretches, by number, first and last of their instants; the most recently used are last."""
         return {}
 
@@ -433,25 +433,27 @@ class LikeLog:
         return LikeLog, (self.log, self.fields, self.rests, self.lead_s)
 
     @cached_property
-    def _remembered(self) -> Callable[[bytes], Felt]:
+    def _remembered(self) -> Callable[[bytes], BoxStimulus]:
         """A cache of stimuli by their times as bytes."""
-        return lru_cache(maxsize=_KEPT)(lambda times: self._felt(np.frombuffer(times, np.int64)))
+        return lru_cache(maxsize=_KEPT)(lambda times: self._stimulus(np.frombuffer(times, np.int64)))
 
-    def _felt(self, time_ns: Integers) -> Felt:
-        felt = self._on_faces(time_ns)
+    def _stimulus(self, time_ns: Integers) -> BoxStimulus:
+        stimulus = self._on_faces(time_ns)
         if self.fields:
-            felt = replace(felt, field_box=field_at(self.fields, time_ns))
+            stimulus = replace(stimulus, field_box=field_at(self.fields, time_ns))
         if self._moving is None:
-            return felt
+            return stimulus
         values, slopes = self._moving.at(time_ns)
         if self._means:
             values, slopes = values.copy(), slopes.copy()
         for start_ns, end_ns, mean in self._means:
             is_at_rest = (start_ns <= time_ns) & (time_ns < end_ns)
             values[is_at_rest], slopes[is_at_rest] = mean, 0.0
-        return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
+        return replace(
+            stimulus, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:]
+        )
 
-    def _on_faces(self, time_ns: Integers) -> Felt:
+    def _on_faces(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus of the box at rest, at the temperature of that time."""
         warming = self._warming[1]
         degc: float | Reals = ROOM_DEGC

@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, PhaseField, field_at, resting
-from imuarray.simulate.motion.felt import Felt, Motion, thermometer_lag_s
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, thermometer_lag_s
 
 if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not need
     from imuarray.simulate.motion.like import SplineColumns
@@ -143,9 +143,9 @@ class PoseSequence:
             ups[start_ns] = (steps_ns.astype(np.int64), mean / np.linalg.norm(mean, axis=1, keepdims=True))
         return ups
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus: the reaction to gravity in the attitude of that time, or a movement."""
-        around = self.surroundings.felt(time_ns)
+        around = self.surroundings.stimulus(time_ns)
         number = np.searchsorted(self._turns_ns, time_ns, side="right")
         if len(number) and (number == number[0]).all():
             still = resting(time_ns, self._rotations[number[0]], around.temperature_degc)
@@ -159,7 +159,7 @@ class PoseSequence:
             still = replace(still, field_box=field_at(self.fields, time_ns))
         return self._moved(replace(still, pressure_pa=around.pressure_pa), time_ns)
 
-    def _moved(self, still: Felt, time_ns: Integers) -> Felt:
+    def _moved(self, still: BoxStimulus, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus at rest with the movements added."""
         moved = [
             (movement, inside)

@@ -26,7 +26,7 @@ from imuarray.arrays import Floats, Integers, Reals
 from imuarray.errors import SourceError
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M, ROOM_DEGC
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.units import SI_PER_UNIT
 
 if TYPE_CHECKING:
@@ -76,14 +76,14 @@ class Trajectory(_TrajectoryRows):
     place_m: Floats
     attitudes: Rotation
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus from the second derivatives of position and attitude."""
         if len(time_ns) == 0:  # zero rotations are an error in SciPy below 1.16
-            first = self.felt(np.zeros(1, np.int64))
-            return Felt(*(getattr(first, item.name)[:0] for item in fields(Felt)))
+            first = self.stimulus(np.zeros(1, np.int64))
+            return BoxStimulus(*(getattr(first, item.name)[:0] for item in fields(BoxStimulus)))
         seconds = self._within_s(time_ns)
         to_box = self.attitude(time_ns).inv()
-        return Felt(
+        return BoxStimulus(
             time_ns,
             to_box.apply(self._place(seconds, 2) + GRAVITY_LEVEL),
             self._attitude(seconds, 1),
@@ -113,7 +113,7 @@ class Trajectory(_TrajectoryRows):
 
 
 @dataclass(frozen=True, eq=False)
-class FeltRows(_TrajectoryRows):
+class StimulusRows(_TrajectoryRows):
     """Specific force `force_box` (n, 3) in m/s2 and angular rate `rate_box` (n, 3) in rad/s, joined by cubic splines.
 
     Attitude and height are not known: field and pressure are those of a box that stands upright.
@@ -122,10 +122,10 @@ class FeltRows(_TrajectoryRows):
     force_box: Floats
     rate_box: Floats
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return interpolated rows; the angular acceleration is the derivative of the rate."""
         seconds = self._within_s(time_ns)
-        return Felt(
+        return BoxStimulus(
             time_ns,
             self._force(seconds),
             self._rate(seconds),
@@ -185,7 +185,7 @@ class _Cells(NamedTuple):
         return np.array([[_number(self.column(name), row) for name in names] for row in range(len(self.lines))])
 
 
-def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
+def load_trajectory(path: str | PathLike[str]) -> Trajectory | StimulusRows:
     """Return the motion that the file describes; SourceError, in one line, names the line and column that can't be
     read.
     """
@@ -198,7 +198,7 @@ def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
     degc = cells.numbers(TEMPERATURE)[:, 0] if TEMPERATURE in cells.text else np.full(len(time_ns), ROOM_DEGC)
     if layout[:3] == FORCE:
         factor = SI_PER_UNIT["dps"] if layout[3:] == RATE_DPS else 1.0
-        return FeltRows(time_ns, degc, cells.numbers(*FORCE), cells.numbers(*layout[3:]) * factor)
+        return StimulusRows(time_ns, degc, cells.numbers(*FORCE), cells.numbers(*layout[3:]) * factor)
     return Trajectory(time_ns, degc, cells.numbers(*PLACE), _attitudes(cells))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, UPRIGHT, resting, shortest_turn, tilted, turned
-from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.simulate.motion.timeline import finite, nanoseconds, positive
 
 ORDER = (
@@ -90,7 +90,7 @@ class Tumble:
         pairs = [before.T @ after for before, after in pairwise(self.attitudes)]
         return np.concatenate([Rotation.from_matrix(pairs).as_rotvec(), np.zeros((1, 3))])
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus, on a face or during a turn to the next."""
         face = self._only_face(time_ns)
         if face is not None:

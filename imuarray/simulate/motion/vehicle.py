@@ -11,8 +11,8 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.motion.faces import UPRIGHT, resting
-from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.kinematics import EulerAngles, felt_by
+from imuarray.simulate.motion.kinematics import EulerAngles, rigid_body_stimulus
+from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.simulate.motion.timeline import (
     MotionBetweenRests,
     finite,
@@ -81,7 +81,7 @@ class Vehicle(MotionBetweenRests):
     def _moving_s(self) -> float:
         return self.drive_s
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus, at rest or while driving."""
         seconds = self.moved_s(time_ns)
         if not seconds.any():
@@ -92,7 +92,7 @@ class Vehicle(MotionBetweenRests):
         yaw, yaw_rate, *_ = drive.yaw
         sine, cosine, inwards = np.sin(yaw), np.cos(yaw), speed * yaw_rate
         acceleration = np.array([gain * cosine - inwards * sine, gain * sine + inwards * cosine, heave[2]])
-        return felt_by(time_ns, angles, acceleration, heave[0], self.temperature_degc)
+        return rigid_body_stimulus(time_ns, angles, acceleration, heave[0], self.temperature_degc)
 
     def velocity(self, time_ns: Integers) -> Reals:
         """Return (n, 3) of the box's origin in the level frame, in m/s."""

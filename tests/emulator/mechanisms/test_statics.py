@@ -37,8 +37,8 @@ from tests.emulator.mechanisms.mechanism_bench import (
 
 def force(x: float, y: float, z: float):
     """A world of constant specific force in g."""
-    felt = WorldStimulus((x * STANDARD_GRAVITY, y * STANDARD_GRAVITY, z * STANDARD_GRAVITY))
-    return lambda at_ns: felt
+    stimulus = WorldStimulus((x * STANDARD_GRAVITY, y * STANDARD_GRAVITY, z * STANDARD_GRAVITY))
+    return lambda at_ns: stimulus
 
 
 def reading(mechanism, name, world=None, at_ns=S, **settings):

@@ -14,7 +14,7 @@ from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.response import Response, response
 from imuarray.gap.recording.turns import exchanges
-from imuarray.gap.statistics.probes.force import felt_g
+from imuarray.gap.statistics.probes.force import applied_g
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
@@ -111,7 +111,7 @@ def test_a_scale_change_between_two_times_on_the_same_faces() -> None:
         later = phase.raw.phase._replace(
             start_ns=phase.raw.phase.start_ns + 100 * SECOND, end_ns=phase.raw.phase.end_ns + 100 * SECOND
         )
-        change = np.array([0.0, 0.01, 0.0]) * felt_g([phase.residual])[0] * sensitivity
+        change = np.array([0.0, 0.01, 0.0]) * applied_g([phase.residual])[0] * sensitivity
         before = phase.residual.segments
         segments = replace(before, mean=before.mean + change, time_s=before.time_s + 100.0)
         again.append(
@@ -127,7 +127,7 @@ def test_a_scale_change_between_two_times_on_the_same_faces() -> None:
     (effect,) = trial.effects
     assert isinstance(effect, Scale)
     np.testing.assert_allclose(effect.error, [0.0, 0.01, 0.0], atol=1e-4)
-    along = [phase.raw.phase for phase in evidence.still if np.abs(felt_g([phase.residual])[0][1]) > 0.5]
+    along = [phase.raw.phase for phase in evidence.still if np.abs(applied_g([phase.residual])[0][1]) > 0.5]
     (span,) = trial.when.spans
     middle_ns = (max(phase.end_ns for phase in along) + min(phase.start_ns for phase in along) + 100 * SECOND) / 2
     assert span.moment_s == pytest.approx(middle_ns * 1e-9)
@@ -201,9 +201,9 @@ def test_response_of_six_faces_is_exact(errors: list[float]) -> None:
 
 def test_responses_that_two_faces_do_not_determine_are_no_error() -> None:
     """The two faces of z determine how each axis follows z, and no other response."""
-    felt = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    stimulus = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     error = np.array([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]])
-    found = Response(felt, felt @ (np.eye(3) + error).T).error
+    found = Response(stimulus, stimulus @ (np.eye(3) + error).T).error
     np.testing.assert_allclose(found, [[0, 0, 0.3]] * 3, atol=1e-12)
 
 
@@ -221,9 +221,9 @@ def test_phases_are_weighted_by_their_errors() -> None:
     size = np.array([[0.1, 1e-6, 1e-6], [-0.8, 1e-6, 1e-6], [np.nan] * 3])
     score = np.array([[10.0, 1.0, 1.0], [1.0, 1.0, 1.0], [np.nan] * 3])
     values, expected, scores = dict(evidence.values), dict(evidence.expected), dict(evidence.scores)
-    for probe, felt in (("motion_gain", 1.0), ("motion_next", 0.0), ("motion_after", 0.0)):
-        expected[probe] = np.full((3, 3), felt)
-        values[probe] = expected[probe] + (size if felt else np.where(np.isnan(size), np.nan, 1e-6))
+    for probe, stimulus in (("motion_gain", 1.0), ("motion_next", 0.0), ("motion_after", 0.0)):
+        expected[probe] = np.full((3, 3), stimulus)
+        values[probe] = expected[probe] + (size if stimulus else np.where(np.isnan(size), np.nan, 1e-6))
         scores[probe] = score
     measured = response(replace(evidence, values=values, expected=expected, scores=scores))
     assert measured is not None

@@ -181,8 +181,11 @@ def test_a_temporary_range_reset_is_suggested() -> None:
     rows are lost while the chip is configured again, and other rows independently.
     """
     before, noise = np.array([100.0, -200.0, 2000.0]), np.full(3, 3.0)
-    within, felt = 2 * (before + 0.02 * 2048), 4 * noise  # twice the doubled value
-    told = (Reset(4.9, 5.0, 5.1, before, within, noise, felt), Reset(7.8, 8.0, 8.2, before, within, noise, felt))
+    within, spread = 2 * (before + 0.02 * 2048), 4 * noise  # twice the doubled value
+    told = (
+        Reset(4.9, 5.0, 5.1, before, within, noise, spread),
+        Reset(7.8, 8.0, 8.2, before, within, noise, spread),
+    )
     evidence = replace(
         evidence_of("static", "A1"),
         resets=((0, told[0]), (3, told[1])),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from imuarray.simulate.effects.response import SizeEffect
-from imuarray.simulate.signal import Felt
+from imuarray.simulate.signal import BoxStimulus
 from tests.selection import examples
 from tests.simulate.conftest import Constant, G, MakePlace, times
 
@@ -17,13 +17,13 @@ COMPONENT = st.floats(-5, 5)
 TRIPLE = st.tuples(COMPONENT, COMPONENT, COMPONENT)
 
 
-def felt(rate: tuple[float, ...], acceleration: tuple[float, ...], rows: int = 2) -> Felt:
-    return Constant(rate_box=rate, angular_acceleration_box=acceleration).felt(times(0, rows))
+def stimulus(rate: tuple[float, ...], acceleration: tuple[float, ...], rows: int = 2) -> BoxStimulus:
+    return Constant(rate_box=rate, angular_acceleration_box=acceleration).stimulus(times(0, rows))
 
 
 def test_rotation_about_z_adds_centripetal_and_tangential_force(place: MakePlace) -> None:
     """A tenth of a metre out on x at 10 rad/s and 3 rad/s2: 10 m/s2 inwards, 0.3 m/s2 along y."""
-    after = SizeEffect((100.0, 0.0, 0.0)).felt(felt((0, 0, 10), (0, 0, 3)), place())
+    after = SizeEffect((100.0, 0.0, 0.0)).stimulus(stimulus((0, 0, 10), (0, 0, 3)), place())
     np.testing.assert_allclose(after.force_box, [[-10, 0.3, G]] * 2, atol=1e-12)
 
 
@@ -41,7 +41,7 @@ def test_the_added_force_is_the_second_derivative_of_the_position(
     h = 1e-3
     at = [expm((rate * t + acceleration * t**2 / 2) * turn) @ r for t in (-h, 0.0, h)]
     motion = Constant(rate_box=np.array(axis) * rate, angular_acceleration_box=np.array(axis) * acceleration)
-    after = SizeEffect(place_mm).felt(motion.felt(times(0, 1)), None)  # type: ignore[arg-type]
+    after = SizeEffect(place_mm).stimulus(motion.stimulus(times(0, 1)), None)  # type: ignore[arg-type]
     added = after.force_box[0] - (0, 0, G)
     np.testing.assert_allclose(added, (at[0] - 2 * at[1] + at[2]) / h**2, rtol=0, atol=5e-3)
 
@@ -49,19 +49,19 @@ def test_the_added_force_is_the_second_derivative_of_the_position(
 def test_each_row_has_its_own_rate(place: MakePlace) -> None:
     """On y, turning faster and faster about x: each row by its own square."""
     motion = Constant(rate_box=lambda s: np.stack([s, 0 * s, 0 * s], axis=1))
-    after = SizeEffect((0.0, 1000.0, 0.0)).felt(motion.felt(times(0, 400)), place())
+    after = SizeEffect((0.0, 1000.0, 0.0)).stimulus(motion.stimulus(times(0, 400)), place())
     seconds = np.arange(400) / 100
     np.testing.assert_allclose(after.force_box, np.stack([0 * seconds, -(seconds**2), G + 0 * seconds], axis=1))
 
 
 def test_rows_can_differ_in_angular_acceleration_alone(place: MakePlace) -> None:
     motion = Constant(angular_acceleration_box=lambda s: np.stack([0 * s, 0 * s, s], axis=1))
-    after = SizeEffect((1000.0, 0.0, 0.0)).felt(motion.felt(times(0, 400)), place())
+    after = SizeEffect((1000.0, 0.0, 0.0)).stimulus(motion.stimulus(times(0, 400)), place())
     np.testing.assert_allclose(after.force_box[:, 1], np.arange(400) / 100, atol=1e-12)
 
 
 def test_a_constant_input_stays_one_row(place: MakePlace) -> None:
-    after = SizeEffect((100.0, 0.0, 0.0)).felt(felt((0, 0, 10), (0, 0, 0), 50), place())
+    after = SizeEffect((100.0, 0.0, 0.0)).stimulus(stimulus((0, 0, 10), (0, 0, 0), 50), place())
     assert after.force_box.shape == (50, 3)
     assert (after.force_box == after.force_box[0]).all()
 
@@ -75,10 +75,10 @@ def test_nothing_is_added_at_the_origin_or_at_rest(
     rate: tuple[float, float, float],
     acceleration: tuple[float, float, float],
 ) -> None:
-    before = felt(rate, acceleration)
-    assert SizeEffect(place_mm).felt(before, place()) is before
+    before = stimulus(rate, acceleration)
+    assert SizeEffect(place_mm).stimulus(before, place()) is before
 
 
 def test_the_default_place_is_the_origin(place: MakePlace) -> None:
-    before = felt((1, 2, 3), (4, 5, 6))
-    assert SizeEffect().felt(before, place()) is before
+    before = stimulus((1, 2, 3), (4, 5, 6))
+    assert SizeEffect().stimulus(before, place()) is before

@@ -48,8 +48,8 @@ def lagged(
     time_constant_s: float, temperature: Callable[[Floats], Floats], time_ns: npt.NDArray[np.int64], place: MakePlace
 ) -> Floats:
     motion = Constant(temperature_degc=temperature)
-    felt = ThermalLag(time_constant_s).felt(motion.felt(time_ns), place(motion=motion))
-    return felt.temperature_degc
+    stimulus = ThermalLag(time_constant_s).stimulus(motion.stimulus(time_ns), place(motion=motion))
+    return stimulus.temperature_degc
 
 
 @pytest.mark.parametrize("time_constant_s", [0.3, 12.0, 40.0])
@@ -106,8 +106,8 @@ def test_a_part_that_warms_up_late_adds_its_own_bias(place: MakePlace, analog: M
     warm = seconds - 10.0 * -np.expm1(-seconds / 10.0)
     expected = 1.0 + warm[:, None] * np.array([0.1, -0.2, 0.0])
     np.testing.assert_allclose(value, expected, atol=0.2 * 0.2**2 / 80)
-    felt = motion.felt(time_ns)
-    assert part.felt(felt, place(motion=motion)) is felt
+    stimulus = motion.stimulus(time_ns)
+    assert part.stimulus(stimulus, place(motion=motion)) is stimulus
 
 
 def test_the_part_is_in_equilibrium_before_the_beginning_and_at_constant_temperature(place: MakePlace) -> None:
@@ -117,10 +117,10 @@ def test_the_part_is_in_equilibrium_before_the_beginning_and_at_constant_tempera
 
 
 def test_only_the_temperature_is_changed(place: MakePlace) -> None:
-    felt = Constant().felt(times(0, 50))
-    after = ThermalLag(3.0).felt(felt, place())
-    assert after.force_box is felt.force_box
-    assert after.time_ns is felt.time_ns
+    stimulus = Constant().stimulus(times(0, 50))
+    after = ThermalLag(3.0).stimulus(stimulus, place())
+    assert after.force_box is stimulus.force_box
+    assert after.time_ns is stimulus.time_ns
 
 
 def test_the_thermometer_has_its_offset_and_noise(place: MakePlace, analog: MakeAnalog) -> None:
@@ -139,10 +139,10 @@ def test_the_thermometer_has_its_offset_and_noise(place: MakePlace, analog: Make
 
 
 def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
-    rows, felt = analog(0, 10), Constant().felt(times(0, 10))
+    rows, stimulus = analog(0, 10), Constant().stimulus(times(0, 10))
     assert ThermalBias().analog(rows, place()) is rows
     assert ThermalScale().analog(rows, place()) is rows
-    assert ThermalLag().felt(felt, place()) is felt
+    assert ThermalLag().stimulus(stimulus, place()) is stimulus
     assert Thermometer().analog(rows, place()).thermometer_degc is rows.thermometer_degc
     for kind in (ThermalBias, ThermalScale):
         with pytest.raises(ValueError, match="reference_degc: -300"):

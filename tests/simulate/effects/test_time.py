@@ -70,7 +70,7 @@ class TestSkew:
         """A ramp of 3 degC/s read half a second late shows 1.5 degC less."""
         motion = constant(temperature_degc=lambda seconds: 3.0 * seconds)
         after = Skew(0.5).sampled(stamped(10 * 10**9), place())
-        assert motion.felt(after.instant_ns).temperature_degc[0] == pytest.approx(28.5)
+        assert motion.stimulus(after.instant_ns).temperature_degc[0] == pytest.approx(28.5)
 
 
 class TestJitter:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -47,15 +47,15 @@ def _rates(attitude: Attitude, time_ns: Times, step_ns: int = 100_000) -> Rates:
     return Rates((before.inv() * after).as_rotvec() / (2 * step_s), (second - first) / step_s**2)
 
 
-def _navigated(felt: Felt, step_s: float) -> Track:
-    """`felt` at the middles of equal steps; attitude before each step and after the last (n + 1)."""
-    path = Rotation.from_rotvec(felt.rate_box * step_s)
+def _navigated(stimulus: BoxStimulus, step_s: float) -> Track:
+    """`stimulus` at the middles of equal steps; attitude before each step and after the last (n + 1)."""
+    path = Rotation.from_rotvec(stimulus.rate_box * step_s)
     shift = 1
-    while shift < len(felt.time_ns):  # running product, doubling its reach
+    while shift < len(stimulus.time_ns):  # running product, doubling its reach
         path = Rotation.concatenate([path[:shift], path[:-shift] * path[shift:]])
         shift *= 2
-    half = path * Rotation.from_rotvec(-felt.rate_box * step_s / 2)
-    acceleration = half.apply(felt.force_box) - [0, 0, G]
+    half = path * Rotation.from_rotvec(-stimulus.rate_box * step_s / 2)
+    acceleration = half.apply(stimulus.force_box) - [0, 0, G]
     velocity = np.cumsum(acceleration, axis=0) * step_s
     return Track(path, velocity, np.cumsum(velocity - acceleration * step_s / 2, axis=0) * step_s)
 
@@ -72,6 +72,6 @@ def navigate() -> Callable[[Motion, int], Track]:
 
     def run(motion: Motion, step_ns: int) -> Track:
         middles = np.arange(step_ns // 2, round(motion.seconds * S), step_ns)
-        return _navigated(motion.felt(middles), step_ns * 1e-9)
+        return _navigated(motion.stimulus(middles), step_ns * 1e-9)
 
     return run

@@ -56,8 +56,8 @@ SHAKE = HandShake(peak_g=4.0, peak_dps=300.0, still_s=1.0, motion_s=8.0)
 
 
 def track(time: Times) -> Stimulus:
-    felt = SHAKE.felt(time)
-    return Stimulus(time, felt.force_box, felt.rate_box, 20.0 + time * 1e-9)
+    stimulus = SHAKE.stimulus(time)
+    return Stimulus(time, stimulus.force_box, stimulus.rate_box, 20.0 + time * 1e-9)
 
 
 def test_the_truth_is_interpolated_between_its_rows(tmp_path: Path) -> None:
@@ -68,16 +68,16 @@ def test_the_truth_is_interpolated_between_its_rows(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         motion = LikeLog(log)
         assert motion.source == "truth"
-        assert motion.felt(rows).force_box == pytest.approx(SHAKE.felt(rows).force_box, abs=1e-12)
+        assert motion.stimulus(rows).force_box == pytest.approx(SHAKE.stimulus(rows).force_box, abs=1e-12)
         between = rows[:-1] + 2_500_000
-        felt, expected = motion.felt(between), SHAKE.felt(between)
-        assert felt.force_box == pytest.approx(expected.force_box, abs=4 * G * 1e-3)
-        assert felt.rate_box == pytest.approx(expected.rate_box, abs=5 * 1e-3)
+        stimulus, expected = motion.stimulus(between), SHAKE.stimulus(between)
+        assert stimulus.force_box == pytest.approx(expected.force_box, abs=4 * G * 1e-3)
+        assert stimulus.rate_box == pytest.approx(expected.rate_box, abs=5 * 1e-3)
         scale = np.abs(expected.angular_acceleration_box).max()
-        assert felt.angular_acceleration_box == pytest.approx(expected.angular_acceleration_box, abs=0.03 * scale)
-        assert felt.temperature_degc == pytest.approx(20 + between * 1e-9, abs=1e-9)
-        slope = (motion.felt(between + 1000).rate_box - motion.felt(between - 1000).rate_box) / 2e-6
-        assert felt.angular_acceleration_box == pytest.approx(slope, abs=1e-4)
+        assert stimulus.angular_acceleration_box == pytest.approx(expected.angular_acceleration_box, abs=0.03 * scale)
+        assert stimulus.temperature_degc == pytest.approx(20 + between * 1e-9, abs=1e-9)
+        slope = (motion.stimulus(between + 1000).rate_box - motion.stimulus(between - 1000).rate_box) / 2e-6
+        assert stimulus.angular_acceleration_box == pytest.approx(slope, abs=1e-4)
 
 
 @pytest.mark.slow
@@ -86,14 +86,14 @@ def test_results_do_not_depend_on_blocks_or_earlier_calls(tmp_path: Path, monkey
     path = write(tmp_path / "log.h5", tracks={"truth": track(rows)})
     asked = np.random.default_rng(3).integers(-S, 12 * S, 3000)
     with Log(path) as log:
-        whole = LikeLog(log).felt(asked)
+        whole = LikeLog(log).stimulus(asked)
     monkeypatch.setattr(like_module, "BLOCK", 64)
     with Log(path) as log:
         motion = LikeLog(log)
-        felt = motion.felt(asked)
-        assert felt.force_box == pytest.approx(whole.force_box, abs=1e-11)
-        assert felt.angular_acceleration_box == pytest.approx(whole.angular_acceleration_box, abs=1e-8)
-        assert np.array_equal(motion.felt(asked[1000:1100]).force_box, felt.force_box[1000:1100])
+        stimulus = motion.stimulus(asked)
+        assert stimulus.force_box == pytest.approx(whole.force_box, abs=1e-11)
+        assert stimulus.angular_acceleration_box == pytest.approx(whole.angular_acceleration_box, abs=1e-8)
+        assert np.array_equal(motion.stimulus(asked[1000:1100]).force_box, stimulus.force_box[1000:1100])
 
 
 def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +141,7 @@ def test_a_lagging_thermometer_among_three_is_ignored(tmp_path: Path, late: int)
                 header.name, Block(time, np.zeros((len(time), 3), np.int16), np.zeros(len(time), np.uint16), counts)
             )
     with Log(tmp_path / "log.h5") as log:
-        degc = LikeLog(log).felt(np.array([S, 59 * S])).temperature_degc
+        degc = LikeLog(log).stimulus(np.array([S, 59 * S])).temperature_degc
     assert degc[1] - degc[0] == pytest.approx(20 * 58 / 60, abs=0.5)
 
 
@@ -150,18 +150,18 @@ def test_the_first_and_last_rows_are_extended(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
         motion = LikeLog(log)
         assert motion.source == "reference"
-        felt = motion.felt(np.array([-S, rows[0], rows[-1], 9 * S]))
-        expected = SHAKE.felt(rows[[0, 0, -1, -1]])
-        assert np.array_equal(felt.force_box, expected.force_box)
-        assert not felt.angular_acceleration_box[[0, 3]].any()
-        assert felt.temperature_degc == pytest.approx([23, 23, 4.99 + 20, 4.99 + 20])
+        stimulus = motion.stimulus(np.array([-S, rows[0], rows[-1], 9 * S]))
+        expected = SHAKE.stimulus(rows[[0, 0, -1, -1]])
+        assert np.array_equal(stimulus.force_box, expected.force_box)
+        assert not stimulus.angular_acceleration_box[[0, 3]].any()
+        assert stimulus.temperature_degc == pytest.approx([23, 23, 4.99 + 20, 4.99 + 20])
 
 
 def test_the_truth_has_precedence_over_the_reference(tmp_path: Path) -> None:
     rows = np.array([0, S])
     other = Stimulus(rows, np.ones((2, 3)), np.ones((2, 3)), np.full(2, -7.0))
     with Log(write(tmp_path / "log.h5", tracks={"reference": other, "truth": track(rows)})) as log:
-        assert LikeLog(log).felt(rows).temperature_degc.tolist() == [20.0, 21.0]
+        assert LikeLog(log).stimulus(rows).temperature_degc.tolist() == [20.0, 21.0]
 
 
 def test_without_tracks_the_faces_of_phases_are_used(tmp_path: Path) -> None:
@@ -170,21 +170,21 @@ def test_without_tracks_the_faces_of_phases_are_used(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5", phases)) as log:
         motion = LikeLog(log)
         assert motion.source == "phases"
-        felt = motion.felt(np.array([0, 1000, 3500, 4999, 5000, 7000, 9000]) * 1_000_000)
+        stimulus = motion.stimulus(np.array([0, 1000, 3500, 4999, 5000, 7000, 9000]) * 1_000_000)
         up, down = [0, G, 0], [-G, 0, 0]
-        assert felt.force_box.tolist() == [up, up, up, up, down, down, down]
-        assert felt.field_box[0] == pytest.approx([0.2, -0.43, 0])
-        assert felt.field_box[-1] == pytest.approx([0.43, 0, 0.2])
-        assert not felt.rate_box.any()
-        assert felt.temperature_degc.tolist() == [25.0] * 7
+        assert stimulus.force_box.tolist() == [up, up, up, up, down, down, down]
+        assert stimulus.field_box[0] == pytest.approx([0.2, -0.43, 0])
+        assert stimulus.field_box[-1] == pytest.approx([0.43, 0, 0.2])
+        assert not stimulus.rate_box.any()
+        assert stimulus.temperature_degc.tolist() == [25.0] * 7
         assert [phase.name for phase in motion.phases] == ["y_up", "motion", "x_down"]
         assert motion.seconds == 10.0  # its last reading
-        assert motion.felt(np.array([], np.int64)).force_box.shape == (0, 3)
+        assert motion.stimulus(np.array([], np.int64)).force_box.shape == (0, 3)
 
 
 def test_a_log_without_phases_is_upright(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5")) as log:
-        assert LikeLog(log).felt(np.array([0, S])).force_box.tolist() == [[0, 0, G]] * 2
+        assert LikeLog(log).stimulus(np.array([0, S])).force_box.tolist() == [[0, 0, G]] * 2
 
 
 def test_the_temperature_is_that_of_the_barometer(tmp_path: Path) -> None:
@@ -194,9 +194,9 @@ def test_the_temperature_is_that_of_the_barometer(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5", barometer=(time, degc))) as log:
         motion = LikeLog(log)
         at = np.array([1.5, 4.25, 7.75])
-        felt = motion.felt((at * S).astype(np.int64))
-        assert felt.temperature_degc == pytest.approx(30 - 0.1 * (at - 5) ** 2, abs=1e-9)
-        assert felt.force_box[0].tolist() == [0, 0, G]
+        stimulus = motion.stimulus((at * S).astype(np.int64))
+        assert stimulus.temperature_degc == pytest.approx(30 - 0.1 * (at - 5) ** 2, abs=1e-9)
+        assert stimulus.force_box[0].tolist() == [0, 0, G]
 
 
 def test_means_of_a_thermometer_of_whole_degrees_are_shorter_in_fast_heating() -> None:
@@ -223,9 +223,9 @@ def test_a_barometer_with_one_reading_gives_a_constant_temperature(tmp_path: Pat
     time = np.array([4 * S])
     path = write(tmp_path / "log.h5", [Phase(0, S, "x_up", "+X")], barometer=(time, np.array([33.0])))
     with Log(path) as log:
-        felt = LikeLog(log).felt(np.array([0, 4, 9]) * S)
-        assert felt.temperature_degc.tolist() == [33.0] * 3
-        assert felt.force_box.tolist() == [[G, 0, 0]] * 3
+        stimulus = LikeLog(log).stimulus(np.array([0, 4, 9]) * S)
+        assert stimulus.temperature_degc.tolist() == [33.0] * 3
+        assert stimulus.force_box.tolist() == [[G, 0, 0]] * 3
 
 
 def test_invalid_logs_are_refused(tmp_path: Path) -> None:
@@ -236,10 +236,10 @@ def test_invalid_logs_are_refused(tmp_path: Path) -> None:
     rows.specific_force[3, 1] = np.nan
     path = write(tmp_path / "nan.h5", tracks={"truth": rows})
     with Log(path) as log, pytest.raises(LogError, match=r"nan.h5, truth: rows 0 to 5: finite numbers are required"):
-        LikeLog(log).felt(np.array([0]))
+        LikeLog(log).stimulus(np.array([0]))
     back = track(np.array([0, 2, 1, 3]) * S)
     with Log(write(tmp_path / "back.h5", tracks={"truth": back})) as log, pytest.raises(LogError, match="in order"):
-        LikeLog(log).felt(np.array([0]))
+        LikeLog(log).stimulus(np.array([0]))
 
 
 def test_a_constant_track_is_one_row_exactly(tmp_path: Path) -> None:
@@ -249,11 +249,13 @@ def test_a_constant_track_is_one_row_exactly(tmp_path: Path) -> None:
     still = Stimulus(rows, force, np.zeros((300, 3)), np.full(300, 21.3))
     asked = np.arange(rows[0] - S, rows[-1] + S, 3_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": still})) as log:
-        felt = LikeLog(log).felt(asked)
+        stimulus = LikeLog(log).stimulus(asked)
         assert len(asked) > 300  # more than are kept
-        assert np.array_equal(felt.force_box, np.broadcast_to(force[0], (len(asked), 3)))
-        assert felt.force_box.strides[0] == felt.rate_box.strides[0] == felt.temperature_degc.strides[0] == 0
-        assert not felt.angular_acceleration_box.any()
+        assert np.array_equal(stimulus.force_box, np.broadcast_to(force[0], (len(asked), 3)))
+        assert (
+            stimulus.force_box.strides[0] == stimulus.rate_box.strides[0] == stimulus.temperature_degc.strides[0] == 0
+        )
+        assert not stimulus.angular_acceleration_box.any()
 
 
 def test_a_rest_within_a_motion_is_exact(tmp_path: Path) -> None:
@@ -262,9 +264,9 @@ def test_a_rest_within_a_motion_is_exact(tmp_path: Path) -> None:
     moved.specific_force[400:600] = [1.0, 2.0, 3.0]
     asked = np.arange(3 * S, 7 * S, 7_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": moved})) as log:
-        force = LikeLog(log).felt(asked).force_box
+        force = LikeLog(log).stimulus(asked).force_box
         shuffled = np.random.default_rng(0).permutation(asked)
-        again = LikeLog(log).felt(shuffled).force_box
+        again = LikeLog(log).stimulus(shuffled).force_box
         assert np.array_equal(again[np.argsort(shuffled)], force)
     within = (asked >= rows[401]) & (asked <= rows[598])
     assert np.array_equal(force[within], np.tile([1.0, 2.0, 3.0], (int(within.sum()), 1)))
@@ -276,19 +278,19 @@ def test_results_for_a_few_instants_are_cached(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         motion = LikeLog(log)
         few = np.array([S, 2 * S])
-        assert motion.felt(few) is motion.felt(few.copy())
-        assert motion.felt(few[:1]) is not motion.felt(few)
+        assert motion.stimulus(few) is motion.stimulus(few.copy())
+        assert motion.stimulus(few[:1]) is not motion.stimulus(few)
 
 
 def test_a_motion_is_sent_as_its_log(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         motion = LikeLog(log)
-        felt = motion.felt(rows)
+        stimulus = motion.stimulus(rows)
         pickled = pickle.dumps(motion)
         assert len(pickled) < 1000
         again = pickle.loads(pickled)  # noqa: S301
-        assert np.array_equal(again.felt(rows).force_box, felt.force_box)
+        assert np.array_equal(again.stimulus(rows).force_box, stimulus.force_box)
         again.log.close()
 
 
@@ -298,11 +300,11 @@ def test_instants_with_equal_ends_are_distinguished(tmp_path: Path) -> None:
     other = np.concatenate([asked[:1], asked[1:-1] + 1_000_000, asked[-1:]])
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         motion = LikeLog(log)
-        wanted = [LikeLog(log).felt(times).force_box for times in (asked, other)]
+        wanted = [LikeLog(log).stimulus(times).force_box for times in (asked, other)]
         assert not np.array_equal(*wanted)
         for _ in range(2):
             for times, force in zip((asked, other), wanted, strict=True):
-                np.testing.assert_array_equal(motion.felt(times).force_box, force)
+                np.testing.assert_array_equal(motion.stimulus(times).force_box, force)
 
 
 def test_a_long_track_is_followed_as_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,17 +313,17 @@ def test_a_long_track_is_followed_as_recorded(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("imuarray.simulate.motion.like._MOST_TRACK_ROWS", len(rows) - 1)
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
         asked = np.array([S, 5 * S, 7 * S])
-        followed = LikeLog(log, rests=((2 * S, 5 * S),)).felt(asked)
-        np.testing.assert_array_equal(followed.force_box, LikeLog(log).felt(asked).force_box)
-        np.testing.assert_array_equal(followed.rate_box, LikeLog(log).felt(asked).rate_box)
+        followed = LikeLog(log, rests=((2 * S, 5 * S),)).stimulus(asked)
+        np.testing.assert_array_equal(followed.force_box, LikeLog(log).stimulus(asked).force_box)
+        np.testing.assert_array_equal(followed.rate_box, LikeLog(log).stimulus(asked).rate_box)
 
 
 def test_a_box_at_rest_has_the_mean_of_its_track(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
         resting = LikeLog(log, rests=((2 * S, 5 * S),))
-        own = resting.felt(np.array([S, 2 * S, 3 * S, 5 * S - 1, 5 * S]))
-        inside = SHAKE.felt(rows[(rows >= 2 * S) & (rows < 5 * S)])
+        own = resting.stimulus(np.array([S, 2 * S, 3 * S, 5 * S - 1, 5 * S]))
+        inside = SHAKE.stimulus(rows[(rows >= 2 * S) & (rows < 5 * S)])
         for name in ("force_box", "rate_box"):
             mean = getattr(inside, name).mean(axis=0)
             np.testing.assert_allclose(getattr(own, name)[1:4], [mean] * 3, atol=1e-9)

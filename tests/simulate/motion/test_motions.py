@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.motion import HandShake, Heating, Motion, Still, Tumble, turn_on_run
-from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
+from imuarray.simulate.motion.stimulus import BoxStimulus
+from imuarray.simulate.motion.trajectory import StimulusRows, Trajectory
 from imuarray.simulate.motion.vehicle import Vehicle
 
 S = 10**9
@@ -34,19 +34,19 @@ MOVES: dict[str, Motion] = {
     "shake": HandShake(still_s=2.0, motion_s=5.0),
     "vehicle": Vehicle(still_s=2.0, drive_s=6.0),
     "trajectory": Trajectory(ROWS_NS, ROWS_NS * 1e-9, wobble(0.1, 0.0), Rotation.from_rotvec(wobble(0.5, 1.0))),
-    "rows": FeltRows(ROWS_NS, np.full(12, 20.0), wobble(9.0, 0.0), wobble(2.0, 1.0)),
+    "rows": StimulusRows(ROWS_NS, np.full(12, 20.0), wobble(9.0, 0.0), wobble(2.0, 1.0)),
 }
 moving = pytest.mark.parametrize("motion", MOVES.values(), ids=MOVES.keys())
 
 
-def columns(felt: Felt) -> dict[str, npt.NDArray[np.float64]]:
-    return {item.name: np.asarray(getattr(felt, item.name)) for item in fields(felt)}
+def columns(stimulus: BoxStimulus) -> dict[str, npt.NDArray[np.float64]]:
+    return {item.name: np.asarray(getattr(stimulus, item.name)) for item in fields(stimulus)}
 
 
 @moving
 def test_columns_have_their_shapes(motion: Motion) -> None:
     for count in (0, 1, 5):
-        shapes = {name: values.shape for name, values in columns(motion.felt(np.arange(count) * 2 * S)).items()}
+        shapes = {name: values.shape for name, values in columns(motion.stimulus(np.arange(count) * 2 * S)).items()}
         vectors = ("force_box", "rate_box", "angular_acceleration_box", "field_box")
         scalars = ("time_ns", "temperature_degc", "pressure_pa")
         assert shapes == dict.fromkeys(vectors, (count, 3)) | dict.fromkeys(scalars, (count,))
@@ -55,18 +55,18 @@ def test_columns_have_their_shapes(motion: Motion) -> None:
 @moving
 def test_any_order_and_any_part_of_times_give_the_same_bits(motion: Motion) -> None:
     times = np.arange(-S, round(motion.seconds * S) + S, 7_654_321)
-    whole = columns(motion.felt(times))
+    whole = columns(motion.stimulus(times))
     order = np.random.default_rng(1).permutation(len(times))
     parts = (order, slice(None, None, 7), slice(-13, None), slice(130, 133))
     for part in parts:
-        for name, values in columns(motion.felt(times[part])).items():
+        for name, values in columns(motion.stimulus(times[part])).items():
             assert np.array_equal(values, whole[name][part]), name
 
 
 @moving
 def test_nothing_changes_before_the_begin_and_after_the_end(motion: Motion) -> None:
     end_ns = round(motion.seconds * S)
-    shown = columns(motion.felt(np.array([-(10**15), -1, 0, end_ns, end_ns + 1, 10**18])))
+    shown = columns(motion.stimulus(np.array([-(10**15), -1, 0, end_ns, end_ns + 1, 10**18])))
     for name, values in shown.items():
         if name != "time_ns":
             assert (values[:3] == values[0]).all(), name
@@ -88,12 +88,12 @@ def test_a_phase_with_a_face_up_is_at_rest_with_gravity(motion: Motion) -> None:
         if not phase.up:
             continue
         times = np.linspace(phase.start_ns, phase.end_ns - 1, 50).astype(np.int64)
-        felt = motion.felt(times)
+        stimulus = motion.stimulus(times)
         sign = 1.0 if phase.up[0] == "+" else -1.0
-        assert felt.force_box[:, "XYZ".index(phase.up[1])] * sign == pytest.approx(9.80665, rel=1e-3)
-        assert np.linalg.norm(felt.force_box, axis=1) == pytest.approx(9.80665, rel=1e-12)
-        assert not felt.rate_box.any()
-        assert not felt.angular_acceleration_box.any()
+        assert stimulus.force_box[:, "XYZ".index(phase.up[1])] * sign == pytest.approx(9.80665, rel=1e-3)
+        assert np.linalg.norm(stimulus.force_box, axis=1) == pytest.approx(9.80665, rel=1e-12)
+        assert not stimulus.rate_box.any()
+        assert not stimulus.angular_acceleration_box.any()
 
 
 def test_experiments_have_their_names_phases_and_lengths() -> None:

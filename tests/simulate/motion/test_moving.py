@@ -35,17 +35,17 @@ DRIVE = Vehicle(still_s=1.0, drive_s=20.0, road_mps2=1.0)
 @pytest.mark.parametrize("shake", SHAKES)
 def test_shaking_matches_numerical_derivatives(shake: HandShake, rates: Callable[..., Any]) -> None:
     times = np.arange(S // 4, round(shake.seconds * S), 13_345_678)
-    felt, attitude = shake.felt(times), shake.attitude(times)
-    assert felt.rate_box == pytest.approx(rates(shake.attitude, times).rate_box, abs=1e-4)
-    assert felt.angular_acceleration_box == pytest.approx(
+    stimulus, attitude = shake.stimulus(times), shake.attitude(times)
+    assert stimulus.rate_box == pytest.approx(rates(shake.attitude, times).rate_box, abs=1e-4)
+    assert stimulus.angular_acceleration_box == pytest.approx(
         rates(shake.attitude, times).angular_acceleration_box, abs=2e-2
     )
     step_ns = 200_000
     before, now, after = (shake.position(times + shift) for shift in (-step_ns, 0, step_ns))
     acceleration = (before - 2 * now + after) / (step_ns * 1e-9) ** 2
-    assert felt.force_box == pytest.approx(attitude.inv().apply(acceleration + GRAVITY), abs=1e-2)
-    assert felt.field_box == pytest.approx(attitude.inv().apply(FIELD), abs=1e-12)
-    assert felt.pressure_pa == pytest.approx(101325 - PA_PER_M * now[:, 2], abs=1e-6)
+    assert stimulus.force_box == pytest.approx(attitude.inv().apply(acceleration + GRAVITY), abs=1e-2)
+    assert stimulus.field_box == pytest.approx(attitude.inv().apply(FIELD), abs=1e-12)
+    assert stimulus.pressure_pa == pytest.approx(101325 - PA_PER_M * now[:, 2], abs=1e-6)
 
 
 @pytest.mark.slow
@@ -67,9 +67,9 @@ def test_navigation_of_shaking_returns_to_the_origin(shake: HandShake, navigate:
 @settings(deadline=None, max_examples=examples(30))
 def test_shaking_stays_within_its_peaks(peak_g: float, peak_dps: float, motion_s: float, seed: int) -> None:
     shake = HandShake(peak_g, peak_dps, 1.0, motion_s, seed)
-    felt = shake.felt(np.linspace(0, shake.seconds * S, 4001).astype(np.int64))
-    assert np.linalg.norm(felt.rate_box, axis=1).max() <= math.radians(peak_dps) * (1 + 1e-6)
-    assert np.linalg.norm(felt.force_box, axis=1).max() <= (peak_g + 1) * G * (1 + 1e-6)
+    stimulus = shake.stimulus(np.linspace(0, shake.seconds * S, 4001).astype(np.int64))
+    assert np.linalg.norm(stimulus.rate_box, axis=1).max() <= math.radians(peak_dps) * (1 + 1e-6)
+    assert np.linalg.norm(stimulus.force_box, axis=1).max() <= (peak_g + 1) * G * (1 + 1e-6)
 
 
 @pytest.mark.slow
@@ -82,7 +82,7 @@ def test_each_axis_keeps_its_share_of_the_peaks_while_the_motion_swells() -> Non
     times = np.arange(S, S + S // 2, 2 * step_ns)
     for seed in range(200):
         shake = HandShake(peak_g=3.0, peak_dps=60.0, still_s=1.0, motion_s=0.5, seed=seed)
-        acceleration = shake.attitude(times).apply(shake.felt(times).force_box) - GRAVITY
+        acceleration = shake.attitude(times).apply(shake.stimulus(times).force_box) - GRAVITY
         before, after = (shake.attitude(times + shift).as_rotvec() for shift in (-step_ns, step_ns))
         worst_g.append(np.abs(acceleration).max() / G)
         worst_dps.append(np.degrees(np.abs(after - before).max()) / (2e-9 * step_ns))
@@ -94,15 +94,15 @@ def test_each_axis_keeps_its_share_of_the_peaks_while_the_motion_swells() -> Non
 def test_shaking_comes_near_its_peaks(seed: int) -> None:
     shake = HandShake(peak_g=6.0, peak_dps=400.0, still_s=1.0, motion_s=60.0, seed=seed)
     times = np.arange(0, round(shake.seconds * S), 4_000_000)
-    felt = shake.felt(times)
-    acceleration = shake.attitude(times).apply(felt.force_box) - [0, 0, G]
+    stimulus = shake.stimulus(times)
+    acceleration = shake.attitude(times).apply(stimulus.force_box) - [0, 0, G]
     assert 0.75 * 6 * G < np.linalg.norm(acceleration, axis=1).max() <= 6 * G
-    assert 0.7 * 400 < math.degrees(np.linalg.norm(felt.rate_box, axis=1).max()) <= 400
+    assert 0.7 * 400 < math.degrees(np.linalg.norm(stimulus.rate_box, axis=1).max()) <= 400
 
 
 def test_seeds_shake_differently_and_rest_outside_the_motion() -> None:
     times = np.arange(0, 50 * S, 10_000_000)
-    first, again, other = (HandShake(seed=seed).felt(times) for seed in (1, 1, 2))
+    first, again, other = (HandShake(seed=seed).stimulus(times) for seed in (1, 1, 2))
     assert np.array_equal(first.force_box, again.force_box)
     assert not np.allclose(first.force_box, other.force_box)
     outside = (times <= 10 * S) | (times >= 40 * S)
@@ -148,24 +148,24 @@ def test_angles_of_any_size_match_numerical_derivatives(rates: Callable[..., Any
 
 def test_driving_matches_numerical_derivatives(rates: Callable[..., Any]) -> None:
     times = np.arange(S // 4, round(DRIVE.seconds * S), 23_345_678)
-    felt, attitude = DRIVE.felt(times), DRIVE.attitude(times)
-    assert felt.rate_box == pytest.approx(rates(DRIVE.attitude, times).rate_box, abs=1e-5)
-    assert felt.angular_acceleration_box == pytest.approx(
+    stimulus, attitude = DRIVE.stimulus(times), DRIVE.attitude(times)
+    assert stimulus.rate_box == pytest.approx(rates(DRIVE.attitude, times).rate_box, abs=1e-5)
+    assert stimulus.angular_acceleration_box == pytest.approx(
         rates(DRIVE.attitude, times).angular_acceleration_box, abs=1e-3
     )
     step_ns = 50_000
     acceleration = (DRIVE.velocity(times + step_ns) - DRIVE.velocity(times - step_ns)) / (2e-9 * step_ns)
-    assert felt.force_box == pytest.approx(attitude.inv().apply(acceleration + GRAVITY), abs=1e-4)
-    assert felt.field_box == pytest.approx(attitude.inv().apply(FIELD), abs=1e-12)
+    assert stimulus.force_box == pytest.approx(attitude.inv().apply(acceleration + GRAVITY), abs=1e-4)
+    assert stimulus.field_box == pytest.approx(attitude.inv().apply(FIELD), abs=1e-12)
 
 
 def test_driving_without_the_road_matches_numerical_derivatives(rates: Callable[..., Any]) -> None:
     """Without the road's shaking what bends and changes of speed do together shows to the fifth digit."""
     drive = Vehicle(road_mps2=0.0, still_s=1.0, drive_s=20.0, lateral_mps2=6.0)
     times = np.arange(S // 4, round(drive.seconds * S), 23_345_678)
-    felt, expected = drive.felt(times), rates(drive.attitude, times)
-    assert felt.rate_box == pytest.approx(expected.rate_box, abs=1e-6)
-    assert felt.angular_acceleration_box == pytest.approx(expected.angular_acceleration_box, abs=1e-5)
+    stimulus, expected = drive.stimulus(times), rates(drive.attitude, times)
+    assert stimulus.rate_box == pytest.approx(expected.rate_box, abs=1e-6)
+    assert stimulus.angular_acceleration_box == pytest.approx(expected.angular_acceleration_box, abs=1e-5)
 
 
 @pytest.mark.slow
@@ -184,13 +184,13 @@ def test_driving_navigates_to_a_stop(navigate: Callable[..., Any]) -> None:
     way = np.linalg.norm(np.diff(track.position, axis=0), axis=1).sum()
     assert travelled < way == pytest.approx(15 * 20 * (1 - 0.2 / 2 - 0.15 / 2), rel=1e-2)
     height = track.position[middles, 2]
-    assert DRIVE.felt(ends).pressure_pa == pytest.approx(101325 - PA_PER_M * height, abs=1e-2)
+    assert DRIVE.stimulus(ends).pressure_pa == pytest.approx(101325 - PA_PER_M * height, abs=1e-2)
 
 
 def test_the_nose_rises_in_acceleration_and_dips_in_braking() -> None:
     """Steepest slope of the step: 35 / 16. A lifted nose adds a part of gravity's reaction along +X."""
     drive = Vehicle(road_mps2=0.0, drive_s=100.0)
-    force = drive.felt(np.arange(drive.phases[1].start_ns, drive.phases[1].end_ns, S // 10)).force_box[:, 0]
+    force = drive.stimulus(np.arange(drive.phases[1].start_ns, drive.phases[1].end_ns, S // 10)).force_box[:, 0]
     for extreme, gain in ((force.max(), 35 / 16 * 15 / 20), (force.min(), -35 / 16 * 15 / 15)):
         lift = math.radians(0.4) * gain
         assert extreme == pytest.approx(gain * math.cos(lift) + G * math.sin(lift), rel=1e-4)
@@ -199,19 +199,19 @@ def test_the_nose_rises_in_acceleration_and_dips_in_braking() -> None:
 def test_bends_have_the_requested_lateral_force() -> None:
     """Left first: force along +Y; the body leans out of the bend, which adds gravity's part."""
     drive = Vehicle(road_mps2=0.0, drive_s=100.0, lateral_mps2=3.0)
-    felt = drive.felt(np.arange(drive.phases[1].start_ns, drive.phases[1].end_ns, S // 10))
+    stimulus = drive.stimulus(np.arange(drive.phases[1].start_ns, drive.phases[1].end_ns, S // 10))
     lean = math.radians(0.4) * 3.0
     expected = 3.0 * math.cos(lean) + G * math.sin(lean)
-    assert felt.force_box[:, 1].max() == pytest.approx(expected, rel=1e-6)
-    assert felt.force_box[:, 1].min() == pytest.approx(-expected, rel=1e-6)
-    assert felt.force_box[:, 1].argmax() < felt.force_box[:, 1].argmin()
-    assert felt.rate_box[:, 2].max() == pytest.approx(3.0 / 15.0 * math.cos(lean), rel=1e-6)
+    assert stimulus.force_box[:, 1].max() == pytest.approx(expected, rel=1e-6)
+    assert stimulus.force_box[:, 1].min() == pytest.approx(-expected, rel=1e-6)
+    assert stimulus.force_box[:, 1].argmax() < stimulus.force_box[:, 1].argmin()
+    assert stimulus.rate_box[:, 2].max() == pytest.approx(3.0 / 15.0 * math.cos(lean), rel=1e-6)
 
 
 def vertical(drive: Vehicle, begin_s: float, end_s: float) -> np.ndarray:
     """Vertical acceleration in m/s2 at 100 Hz, in seconds since the drive began."""
     times = drive.phases[1].start_ns + np.arange(round(begin_s * 100), round(end_s * 100)) * (S // 100)
-    level: np.ndarray = drive.attitude(times).apply(drive.felt(times).force_box)
+    level: np.ndarray = drive.attitude(times).apply(drive.stimulus(times).force_box)
     return level[:, 2] - G
 
 

@@ -20,18 +20,18 @@ TWO = PoseSequence((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0))
 
 
 def test_force_is_gravity_along_up_and_the_rate_is_zero() -> None:
-    felt = TWO.felt(np.array([0, 3 * S, 7 * S, 20 * S]))
+    stimulus = TWO.stimulus(np.array([0, 3 * S, 7 * S, 20 * S]))
     expected = [[5.88399, 0, 7.84532]] * 2 + [[0, 0, -G]] * 2
-    np.testing.assert_allclose(felt.force_box, expected, atol=1e-12)
-    assert not felt.rate_box.any()
-    assert not felt.angular_acceleration_box.any()
-    np.testing.assert_array_equal(felt.temperature_degc, 31.0)
-    np.testing.assert_array_equal(TWO.felt(np.array([3 * S])).force_box, felt.force_box[1:2])
-    assert len(TWO.felt(np.zeros(0, np.int64)).force_box) == 0
+    np.testing.assert_allclose(stimulus.force_box, expected, atol=1e-12)
+    assert not stimulus.rate_box.any()
+    assert not stimulus.angular_acceleration_box.any()
+    np.testing.assert_array_equal(stimulus.temperature_degc, 31.0)
+    np.testing.assert_array_equal(TWO.stimulus(np.array([3 * S])).force_box, stimulus.force_box[1:2])
+    assert len(TWO.stimulus(np.zeros(0, np.int64)).force_box) == 0
 
 
 def test_the_attitude_changes_half_way_between_the_phases() -> None:
-    before, after = TWO.felt(np.array([5 * S - 1, 5 * S])).force_box[:, 2]
+    before, after = TWO.stimulus(np.array([5 * S - 1, 5 * S])).force_box[:, 2]
     assert (before, after) == (pytest.approx(0.8 * G), pytest.approx(-G))
 
 
@@ -46,7 +46,7 @@ def test_a_movement_begins_and_ends_with_the_force_of_the_attitudes(step_g: floa
     force[:9], force[-9:] = force[0], force[-1]
     columns = SplineColumns(time_ns, (force, np.zeros_like(force)), "a turn")
     moving = PoseSequence(TWO.attitudes, TWO.surroundings, movements=(Movement(4 * S, 6 * S, columns),))
-    begin, end = moving.felt(np.array([4 * S, 6 * S - 1])).force_box
+    begin, end = moving.stimulus(np.array([4 * S, 6 * S - 1])).force_box
     shift = np.zeros(3) if is_removed else [step_g * G, 0.0, 0.0]
     np.testing.assert_allclose(begin, [0.6 * G + shift[0], 0.0, 0.8 * G], atol=1e-6)
     np.testing.assert_allclose(end, [shift[0], 0.0, -G], atol=1e-6)

@@ -20,25 +20,25 @@ def recorded() -> tuple[np.ndarray, np.ndarray]:
     spectrum = np.fft.rfft(rng.normal(size=ROWS - 4000))
     spectrum[np.fft.rfftfreq(ROWS - 4000, 0.01) > 10.0] = 0.0
     motion = np.fft.irfft(spectrum, ROWS - 4000)
-    felt = np.zeros((ROWS, 6))
-    felt[4000:, [0, 3]] = 0.01 * (motion / motion.std())[:, None]
-    return felt, felt + rng.normal(0, 0.01, (ROWS, 6))
+    stimulus = np.zeros((ROWS, 6))
+    stimulus[4000:, [0, 3]] = 0.01 * (motion / motion.std())[:, None]
+    return stimulus, stimulus + rng.normal(0, 0.01, (ROWS, 6))
 
 
-def response(felt: np.ndarray, track: np.ndarray) -> float:
+def response(stimulus: np.ndarray, track: np.ndarray) -> float:
     """Return the least-squares response of a perfect sensor to the track, along X."""
     moving = slice(4000, ROWS)
-    return float(felt[moving, 0] @ track[moving, 0] / (track[moving, 0] @ track[moving, 0]))
+    return float(stimulus[moving, 0] @ track[moving, 0] / (track[moving, 0] @ track[moving, 0]))
 
 
 def test_the_response_to_the_reduced_track_equals_that_to_the_motion() -> None:
     """A noise of the motion's power halves the response. Behind the filter it is 1: standard error 0.02 from 3200
     independent values of the motion. Where the box does not move, less than a fiftieth of the noise's power is left.
     """
-    felt, track = recorded()
+    stimulus, track = recorded()
     reduced = without_track_noise(TIME_NS, track, [REST])
-    assert response(felt, track) == pytest.approx(0.5, abs=0.03)
-    assert response(felt, reduced) == pytest.approx(1.0, abs=0.06)
+    assert response(stimulus, track) == pytest.approx(0.5, abs=0.03)
+    assert response(stimulus, reduced) == pytest.approx(1.0, abs=0.06)
     assert reduced[4000:, [1, 2, 4, 5]].var(axis=0).max() < 0.01**2 / 50
     np.testing.assert_array_equal(reduced[:4000], track[:4000])
 
@@ -52,8 +52,8 @@ def test_a_track_without_rests_or_with_missing_rows_is_unchanged() -> None:
 
 def test_power_can_be_kept_instead_of_the_response() -> None:
     """The power of the motion within 5 %, where the Wiener filter keeps the share of each frequency once more."""
-    felt, track = recorded()
+    stimulus, track = recorded()
     moving, variance = slice(4000, ROWS), np.full(3, 1e-4)
     kept = reduce_noise(track[moving, :3], variance, keeps_power=True)
-    assert kept[:, 0].var() == pytest.approx(felt[moving, 0].var(), rel=0.05)
-    assert reduce_noise(track[moving, :3], variance)[:, 0].var() < 0.95 * felt[moving, 0].var()
+    assert kept[:, 0].var() == pytest.approx(stimulus[moving, 0].var(), rel=0.05)
+    assert reduce_noise(track[moving, :3], variance)[:, 0].var() < 0.95 * stimulus[moving, 0].var()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imuarray.errors import SourceError
-from imuarray.simulate.motion.trajectory import FeltRows, Trajectory, load_trajectory
+from imuarray.simulate.motion.trajectory import StimulusRows, Trajectory, load_trajectory
 
 G = 9.80665
 S = 10**9
@@ -55,14 +55,14 @@ def test_a_circle_at_constant_speed_has_centripetal_force_and_rate(write: Write)
     angles = np.stack([0 * T, 0 * T, np.degrees(pace * T)], axis=1)
     motion = load_trajectory(write(f"time_s,{PLACE},{ANGLES}", table(T, place, angles)))
     times = np.arange(S // 2, 3 * S, 12_345_678)  # away from the ends, where a spline is less accurate
-    felt = motion.felt(times)
-    assert felt.force_box == pytest.approx(np.tile([0, radius * pace**2, G], (len(times), 1)), abs=1e-3)
-    assert felt.rate_box == pytest.approx(np.tile([0, 0, pace], (len(times), 1)), abs=1e-9)
-    assert felt.angular_acceleration_box == pytest.approx(0, abs=1e-7)
+    stimulus = motion.stimulus(times)
+    assert stimulus.force_box == pytest.approx(np.tile([0, radius * pace**2, G], (len(times), 1)), abs=1e-3)
+    assert stimulus.rate_box == pytest.approx(np.tile([0, 0, pace], (len(times), 1)), abs=1e-9)
+    assert stimulus.angular_acceleration_box == pytest.approx(0, abs=1e-7)
     heading = pace * times * 1e-9
     expected = np.stack([0.2 * np.cos(heading), -0.2 * np.sin(heading), 0 * heading - 0.43], axis=1)
-    assert felt.field_box == pytest.approx(expected, abs=1e-9)
-    assert felt.temperature_degc.tolist() == [25.0] * len(times)
+    assert stimulus.field_box == pytest.approx(expected, abs=1e-9)
+    assert stimulus.temperature_degc.tolist() == [25.0] * len(times)
     assert motion.seconds == 4.0
     assert [tuple(phase) for phase in motion.phases] == [(0, 4 * S, "motion", "")]
 
@@ -71,10 +71,10 @@ def test_a_lift_has_its_force_and_pressure(write: Write) -> None:
     """Height t^2 / 2: 1 m/s2 more, and 12 Pa less per metre. Times count from the first row; temperature is linear."""
     rows = table(T + 100, 0 * T, 0 * T, T**2 / 2, 0 * T, 0 * T, 0 * T, 20 + T)
     motion = load_trajectory(write(f"time_s,{PLACE},{ANGLES},temperature_degc", rows))
-    felt = motion.felt(np.array([0, S, 4 * S]))
-    assert felt.force_box == pytest.approx(np.tile([0, 0, G + 1], (3, 1)), abs=1e-8)
-    assert felt.pressure_pa == pytest.approx([101325, 101325 - 0.5 * 1.225 * G, 101325 - 8 * 1.225 * G], abs=1e-6)
-    assert felt.temperature_degc == pytest.approx([20, 21, 24])
+    stimulus = motion.stimulus(np.array([0, S, 4 * S]))
+    assert stimulus.force_box == pytest.approx(np.tile([0, 0, G + 1], (3, 1)), abs=1e-8)
+    assert stimulus.pressure_pa == pytest.approx([101325, 101325 - 0.5 * 1.225 * G, 101325 - 8 * 1.225 * G], abs=1e-6)
+    assert stimulus.temperature_degc == pytest.approx([20, 21, 24])
 
 
 def test_angles_turn_about_z_then_y_then_x(write: Write) -> None:
@@ -82,7 +82,7 @@ def test_angles_turn_about_z_then_y_then_x(write: Write) -> None:
     force = {(90, 0, 0): (0, G, 0), (0, 90, 0): (-G, 0, 0), (0, 0, 90): (0, 0, G), (90, 0, 90): (0, G, 0)}
     for angles, expected in force.items():
         motion = load_trajectory(write(f"time_s,{PLACE},{ANGLES}", [[t, 0, 0, 0, *angles] for t in range(4)]))
-        assert motion.felt(np.array([S])).force_box[0] == pytest.approx(expected, abs=1e-12)
+        assert motion.stimulus(np.array([S])).force_box[0] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 40])
@@ -101,14 +101,14 @@ def test_a_path_matches_numerical_derivatives(count: int, write: Write, rates: C
     step_ns = 100_000
     times = np.arange(10_000_000, round(motion.seconds * S) - step_ns, 31_111_111)
     times = times[np.abs((times + S // 8) % (S // 4) - S // 8) > step_ns]  # third derivatives jump at rows
-    felt, numeric = motion.felt(times), rates(motion.attitude, times)
-    assert felt.rate_box == pytest.approx(numeric.rate_box, abs=1e-4)
-    assert felt.angular_acceleration_box == pytest.approx(numeric.angular_acceleration_box, abs=1e-2)
+    stimulus, numeric = motion.stimulus(times), rates(motion.attitude, times)
+    assert stimulus.rate_box == pytest.approx(numeric.rate_box, abs=1e-4)
+    assert stimulus.angular_acceleration_box == pytest.approx(numeric.angular_acceleration_box, abs=1e-2)
     before, now, after = (motion.position(times + shift) for shift in (-step_ns, 0, step_ns))
     acceleration = (before - 2 * now + after) / (step_ns * 1e-9) ** 2
     to_box = motion.attitude(times).inv()
-    assert felt.force_box == pytest.approx(to_box.apply(acceleration + GRAVITY), abs=1e-4)
-    assert felt.field_box == pytest.approx(to_box.apply(FIELD), abs=1e-12)
+    assert stimulus.force_box == pytest.approx(to_box.apply(acceleration + GRAVITY), abs=1e-4)
+    assert stimulus.field_box == pytest.approx(to_box.apply(FIELD), abs=1e-12)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("dps", np.pi / 180), ("radps", 1.0)])
@@ -118,13 +118,13 @@ def test_recorded_force_and_rate_are_interpolated(unit: str, factor: float, writ
     rate = np.stack([T**2, T**3 - T, -T], axis=1)
     names = ",".join(f"rate_{axis}_{unit}" for axis in "xyz")
     motion = load_trajectory(write(f"time_s,{FELT},{names}", table(T, force, rate)))
-    assert isinstance(motion, FeltRows)
+    assert isinstance(motion, StimulusRows)
     at = np.array([0.123, 1.777, 3.999])
-    felt = motion.felt((at * S).astype(np.int64))
-    assert felt.force_box == pytest.approx(np.stack([at**3, 1 - at**2, 9 + at], axis=1), abs=1e-7)
-    assert felt.rate_box == pytest.approx(factor * np.stack([at**2, at**3 - at, -at], axis=1), abs=1e-7)
+    stimulus = motion.stimulus((at * S).astype(np.int64))
+    assert stimulus.force_box == pytest.approx(np.stack([at**3, 1 - at**2, 9 + at], axis=1), abs=1e-7)
+    assert stimulus.rate_box == pytest.approx(factor * np.stack([at**2, at**3 - at, -at], axis=1), abs=1e-7)
     slope = factor * np.stack([2 * at, 3 * at**2 - 1, -1 + 0 * at], axis=1)
-    assert felt.angular_acceleration_box == pytest.approx(slope, abs=1e-6)
+    assert stimulus.angular_acceleration_box == pytest.approx(slope, abs=1e-6)
 
 
 HEADER = f"time_s,{FELT},{DPS}"

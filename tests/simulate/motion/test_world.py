@@ -66,13 +66,16 @@ def test_the_world_equals_the_motion_at_any_instant(motion: Still | Tumble | Hea
     end_ns = round(motion.seconds * S)
     times = [*range(-S // 10, min(end_ns, 7 * S) + S // 10, 13_456_789)]
     times += np.random.default_rng(5).permutation(times).tolist()
-    felt = motion.felt(np.array(times))
+    stimulus = motion.stimulus(np.array(times))
     for row, at_ns in enumerate(times):
         shown = world(at_ns)
-        assert shown.force_box == tuple(felt.force_box[row])
-        assert shown.rate_box == tuple(felt.rate_box[row])
-        assert shown.field_box == tuple(felt.field_box[row])
-        assert (shown.temperature_degc, shown.pressure_pa) == (felt.temperature_degc[row], felt.pressure_pa[row])
+        assert shown.force_box == tuple(stimulus.force_box[row])
+        assert shown.rate_box == tuple(stimulus.rate_box[row])
+        assert shown.field_box == tuple(stimulus.field_box[row])
+        assert (shown.temperature_degc, shown.pressure_pa) == (
+            stimulus.temperature_degc[row],
+            stimulus.pressure_pa[row],
+        )
     assert world.phases == motion.phases
 
 
@@ -92,15 +95,15 @@ def test_the_emulated_array_measures_the_motion_and_the_log_contains_it(tmp_path
         offset_ns = log.phases[1].start_ns - motion.phases[1].start_ns
         assert -S // 2 < offset_ns < 0  # the log begins when the chips are set up, a moment after the world did
         times = np.asarray(log.truth.time)
-        expected = motion.felt(times - offset_ns)
+        expected = motion.stimulus(times - offset_ns)
         assert np.asarray(log.truth.specific_force) == pytest.approx(expected.force_box, abs=1e-12)
         assert np.asarray(log.truth.angular_rate) == pytest.approx(expected.rate_box, abs=1e-12)
         force = log["ADXL"].counts[:] / log["ADXL"].sensitivity
         at = np.asarray(log["ADXL"].time) - offset_ns
         still = at < S
         assert np.median(force[still], axis=0) == pytest.approx([0, 0, 1], abs=0.3)
-        felt_g = motion.felt(at).force_box / G
+        felt_g = motion.stimulus(at).force_box / G
         assert np.corrcoef(force.ravel(), felt_g.ravel())[0, 1] > 0.95
         again = LikeLog(log)
         assert again.source == "truth"
-        assert again.felt(times).force_box == pytest.approx(expected.force_box, abs=1e-12)
+        assert again.stimulus(times).force_box == pytest.approx(expected.force_box, abs=1e-12)

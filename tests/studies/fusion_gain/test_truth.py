@@ -37,9 +37,9 @@ def errors_along_axes(
         assert truth is not None
         column = truth.specific_force if quantity == "specific_force" else truth.angular_rate
         assert column is not None
-        felt = np.asarray(column[:], float)[: len(part.time)]
+        stimulus = np.asarray(column[:], float)[: len(part.time)]
     law = law_of(headers, effects)
-    return part, part.values - felt @ law.directions_box.T, law
+    return part, part.values - stimulus @ law.directions_box.T, law
 
 
 @pytest.mark.slow

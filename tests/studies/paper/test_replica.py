@@ -157,7 +157,7 @@ def test_windows_across_blocks_are_complete() -> None:
 
 def test_the_slope_and_residual_over_temperature() -> None:
     motion = Heating(scale=1 / 60)  # 110 s
-    degc = np.asarray(motion.felt(np.arange(110_000, dtype=np.int64) * 10**6).temperature_degc)
+    degc = np.asarray(motion.stimulus(np.arange(110_000, dtype=np.int64) * 10**6).temperature_degc)
     counts = np.rint(np.outer(degc, [2.0, -3.0, 0.0]) * 100 + [7, 0, 5]).astype(np.int16)
     result = line(Canned(counts, None), motion)
     np.testing.assert_allclose(result.slope, [200, -300, 0], atol=1e-2)

@@ -59,7 +59,7 @@ class _Bins(NamedTuple):
 
     face: Integers
     rows: Floats
-    felt: Floats
+    applied: Floats
     warm_degc: Floats
     mean: Floats
     variance: Floats
@@ -107,21 +107,23 @@ def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iter
     raw, residual = phase.raw.segments, phase.residual.segments
     is_usable = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
     warm = raw.temperature_degc - REFERENCE_DEGC
-    felt = raw.mean[:, axis] - residual.mean[:, axis] - offset - slope * warm
+    applied = raw.mean[:, axis] - residual.mean[:, axis] - offset - slope * warm
     variance = raw.steady_variance[:, axis] * raw.rows / np.maximum(raw.rows - 1, 1)
     degc = np.zeros(len(warm), np.int64)
     degc[is_usable] = np.floor(raw.temperature_degc[is_usable] / _BIN_DEGC)
     for number in np.unique(degc[is_usable]):
         at = is_usable & (degc == number)
         weight = raw.rows[at]
-        middle = [float(np.average(values[at], weights=weight)) for values in (felt, warm, raw.mean[:, axis], variance)]
+        middle = [
+            float(np.average(values[at], weights=weight)) for values in (applied, warm, raw.mean[:, axis], variance)
+        ]
         yield float(weight.sum()), *middle
 
 
 def _behind(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int) -> Floats:
     """Return (3,) offset, slope and noise in counts, starting from the fitted ones."""
     offset, slope, noise = start
-    units = UNITS_DIFFER * float(np.abs(bins.felt).max()) if np.ptp(bins.felt) > 1 else 0.0
+    units = UNITS_DIFFER * float(np.abs(bins.applied).max()) if np.ptp(bins.applied) > 1 else 0.0
     offsets = offset + np.linspace(-_STRETCHES, _STRETCHES, 2 * _OFFSETS + 1) * stretch
     span = float(np.ptp(bins.warm_degc))
     slopes = slope + np.linspace(-1.0, 1.0, _SLOPES) * stretch / span if span > 1 else np.array([slope])
@@ -183,7 +185,7 @@ def _over_faces(
 
 def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Moments, period: int) -> Floats:
     """Return (o, b) the cost of the mean and the variance of each bin in nats, up to a constant."""
-    level = bins.felt + slope * bins.warm_degc + offsets[:, None]
+    level = bins.applied + slope * bins.warm_degc + offsets[:, None]
     at = np.rint(level * (len(table.shift) / period)).astype(np.int64) % len(table.shift)
     variance = table.variance[at]
     mean_square = variance / bins.rows + (_FORM_MEAN * sigma) ** 2

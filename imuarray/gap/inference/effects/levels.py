@@ -13,7 +13,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats, Indices, Integers
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.model.rest import REFERENCE_DEGC
-from imuarray.gap.statistics.probes.force import felt_g
+from imuarray.gap.statistics.probes.force import applied_g
 from imuarray.gap.statistics.probes.probe import once
 
 _LEAST_ROWS = 4
@@ -23,7 +23,7 @@ _LEAST_ROWS = 4
 class Levels:
     """Levels of n segments that hold rows. `log` and `group` (n,): segments of one group belong to one log and face;
     `time_s`, `degc` (n,); `mean` (n, 3) in the sensor's unit less the base model's prediction, and its `square_error`
-    (n, 3) for independent readings; `felt_g` (n, 3) specific force along the nominal axes, nan if no face is named;
+    (n, 3) for independent readings; `applied_g` (n, 3) specific force along the nominal axes, nan if no face is named;
     `thermometer` (n,) counts of the chip's own thermometer, nan if it has none; `width_s` (n,).
     """
 
@@ -33,7 +33,7 @@ class Levels:
     degc: Floats
     mean: Floats
     square_error: Floats
-    felt_g: Floats
+    applied_g: Floats
     thermometer: Floats
     width_s: Floats
 
@@ -89,7 +89,7 @@ class LogLevels(NamedTuple):
 def log_levels(table: Levels) -> LogLevels:
     """Return the levels in the order of the logs' numbers; empty without two logs that share a face."""
     members = list(table.groups())
-    groups = [(int(table.log[at[0]]), tuple(np.nan_to_num(table.felt_g[at[0]], nan=9.0).round(3))) for at in members]
+    groups = [(int(table.log[at[0]]), tuple(np.nan_to_num(table.applied_g[at[0]], nan=9.0).round(3))) for at in members]
     means = np.array([table.mean[at].mean(axis=0) for at in members]).reshape(-1, 3)
     errors = np.array([table.square_error[at].mean(axis=0) / len(at) for at in members]).reshape(-1, 3)
     shared = {face for _, face in groups if sum(other == face for _, other in groups) > 1}
@@ -119,7 +119,7 @@ def _of_phase(evidence: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.gener
         part.temperature_degc[is_usable],
         part.mean[is_usable] / header.sensitivity,
         part.steady_variance[is_usable] / (part.rows[is_usable, None] - 1) / header.sensitivity**2,
-        np.broadcast_to(felt_g([evidence.residual])[0], (count, 3)),
+        np.broadcast_to(applied_g([evidence.residual])[0], (count, 3)),
         part.thermometer[is_usable],
         np.full(count, part.width_s),
     )

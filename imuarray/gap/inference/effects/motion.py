@@ -215,15 +215,15 @@ def _response_on_faces(evidence: Evidence) -> list[_ForceResponse]:
     all faces are the same.
     """
     table = levels(evidence)
-    known = np.isfinite(table.felt_g).all(axis=1)
+    known = np.isfinite(table.applied_g).all(axis=1)
     if not known.any():
         return []
-    felt, mean = table.felt_g[known] - table.felt_g[known].mean(axis=0), table.mean[known]
-    if not felt.any():
+    applied, mean = table.applied_g[known] - table.applied_g[known].mean(axis=0), table.mean[known]
+    if not applied.any():
         return []
-    beyond = np.linalg.lstsq(felt, mean, rcond=1e-6)[0].T
-    variance = (mean - mean.mean(axis=0) - felt @ beyond.T).var(axis=0)
-    inverse = np.diag(np.linalg.pinv(felt.T @ felt, rcond=1e-6, hermitian=True))
+    beyond = np.linalg.lstsq(applied, mean, rcond=1e-6)[0].T
+    variance = (mean - mean.mean(axis=0) - applied @ beyond.T).var(axis=0)
+    inverse = np.diag(np.linalg.pinv(applied.T @ applied, rcond=1e-6, hermitian=True))
     size = np.abs(beyond)
     is_clear = (size > _CLEAR_RESPONSE * np.sqrt(variance[:, None] * inverse)) & (size > _SMALL_RESPONSE * size.max())
     response_g = beyond + np.where(beyond != 0, evidence.fitted.response, 0.0)

@@ -14,7 +14,7 @@ from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import centre
 from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.recording.turns import Turn, exchanges, misses
-from imuarray.gap.statistics.probes.force import felt_g
+from imuarray.gap.statistics.probes.force import applied_g
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.probes.motion import joint_gains
 from imuarray.gap.statistics.probes.turns import turn_of
@@ -34,21 +34,21 @@ _AXES = np.arange(3)
 
 @dataclass(frozen=True)
 class Response:
-    """`felt` and `reading` (p, 3): the expected and the actual readings along the axes, less their means; unit vectors
+    """`applied` and `reading` (p, 3): expected and actual readings along the axes, less their means; unit vectors
     if only the attitude or the motion changed.
     """
 
-    felt: Floats
+    applied: Floats
     reading: Floats
 
     @property
     def error(self) -> Floats:
-        """(3, 3) E of reading = (1 + E) felt, with row i for axis i; 0 along directions without any force or motion."""
-        return np.asarray(np.linalg.lstsq(self.felt, self.reading - self.felt, rcond=0.05)[0].T)
+        """(3, 3) E of reading = (1 + E) applied, row i for axis i; 0 along directions without any force or motion."""
+        return np.asarray(np.linalg.lstsq(self.applied, self.reading - self.applied, rcond=0.05)[0].T)
 
     def misfit(self, matrix: Floats) -> float:
         """Return the sum of squares that the response `matrix` (3, 3) leaves."""
-        return float(((self.reading - self.felt @ matrix.T) ** 2).sum())
+        return float(((self.reading - self.applied @ matrix.T) ** 2).sum())
 
 
 def response(evidence: Evidence) -> Response | None:
@@ -56,7 +56,7 @@ def response(evidence: Evidence) -> Response | None:
     parts = [part for part in (_of_faces(evidence), _of_motion(evidence)) if part is not None]
     if not parts:
         return None
-    return Response(np.concatenate([part.felt for part in parts]), np.concatenate([part.reading for part in parts]))
+    return Response(np.concatenate([part.applied for part in parts]), np.concatenate([part.reading for part in parts]))
 
 
 def size_of_score(evidence: Evidence, *probes: str) -> Floats:
@@ -75,13 +75,15 @@ def _of_faces(evidence: Evidence) -> Response | None:
     for phase in evidence.still:
         if phase.raw.rows:
             reading = evidence.fitted.unbiased(phase.raw)
-            felt = evidence.fitted.by_response(reading - mean(phase.residual))
-            faces.setdefault(tuple(np.round(felt, 1).tolist()), []).append(np.array([felt, reading]))
+            applied = evidence.fitted.by_response(reading - mean(phase.residual))
+            faces.setdefault(tuple(np.round(applied, 1).tolist()), []).append(np.array([applied, reading]))
     if len(faces) < 2:
         return None
-    felt, reading = np.array([np.mean(pairs, axis=0) for pairs in faces.values()]).transpose(1, 0, 2)
-    size = np.linalg.norm(felt, axis=1).mean()
-    return Response((felt - felt.mean(axis=0)) / size, (reading - reading.mean(axis=0)) / size) if size > 0 else None
+    applied, reading = np.array([np.mean(pairs, axis=0) for pairs in faces.values()]).transpose(1, 0, 2)
+    size = np.linalg.norm(applied, axis=1).mean()
+    return (
+        Response((applied - applied.mean(axis=0)) / size, (reading - reading.mean(axis=0)) / size) if size > 0 else None
+    )
 
 
 def _of_motion(evidence: Evidence) -> Response | None:
@@ -89,14 +91,14 @@ def _of_motion(evidence: Evidence) -> Response | None:
     small along an axis about which the box hardly turned, or along which it hardly moved. If no phase determines them,
     as in turns about single axes, the response to all motions together is used.
     """
-    reading, felt = np.zeros((2, 3, 3))
+    reading, applied = np.zeros((2, 3, 3))
     for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
-        reading[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _mean(evidence, probe)
-    if not np.isfinite([reading, felt]).all():
-        reading, felt = response_to_all_motions(evidence), np.eye(3)
-    if not (np.isfinite(reading).all() and (np.abs(felt) > _LEAST_SHARE).any()):
+        reading[_AXES, (_AXES + step) % 3], applied[_AXES, (_AXES + step) % 3] = _mean(evidence, probe)
+    if not np.isfinite([reading, applied]).all():
+        reading, applied = response_to_all_motions(evidence), np.eye(3)
+    if not (np.isfinite(reading).all() and (np.abs(applied) > _LEAST_SHARE).any()):
         return None
-    return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * reading.T)
+    return Response(MOTION_WEIGHT * applied.T, MOTION_WEIGHT * reading.T)
 
 
 def turns_of(evidence: Evidence) -> list[Turn]:
@@ -209,7 +211,7 @@ _LEAST_FACTOR = 0.3
 _SMALLER = 0.8
 """Largest error in the first part of a motion, as a share of that in the second, if it begins within the motion."""
 
-_LEAST_FELT = 0.3
+_LEAST_APPLIED = 0.3
 """Least force along an axis whose level determines a scale, as a share of the largest force."""
 
 
@@ -300,12 +302,12 @@ def _scale_of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:
     phases = [phase for phase in evidence.phases if phase.log == step.when.spans[-1].log]
     if all(phase.is_still for phase in phases) and len({phase.raw.phase.up for phase in phases}) < 2:
         return
-    felt = _felt(evidence, step)
-    size = np.abs(felt).max(initial=0.0)
-    along = np.abs(felt) > _LEAST_FELT * size
+    applied = _applied(evidence, step)
+    size = np.abs(applied).max(initial=0.0)
+    along = np.abs(applied) > _LEAST_APPLIED * size
     if not size or np.abs(step.size).argmax() not in np.flatnonzero(along):
         return
-    error = np.divide(step.size, felt, out=np.zeros(3), where=along)
+    error = np.divide(step.size, applied, out=np.zeros(3), where=along)
     largest = float(error[np.abs(error).argmax()])
     if abs(largest) < _LARGEST_ERROR:
         for scale in _scales(error, np.full(3, largest)):
@@ -322,15 +324,15 @@ def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
     doubtful = np.abs(evidence.score(_RETURN)) > DOUBTFUL
     for log in sorted({phase.log for phase in evidence.still}):
         phases = sorted((p for p in evidence.still if p.log == log and p.raw.rows), key=lambda p: p.raw.phase.start_ns)
-        phases = [phase for phase in phases if np.isfinite(felt_g([phase.residual])).all()]
+        phases = [phase for phase in phases if np.isfinite(applied_g([phase.residual])).all()]
         if len(phases) < _FEWEST_VISITS:
             continue
-        felt = felt_g([phase.residual for phase in phases])
-        face = np.unique(felt.round(), axis=0, return_inverse=True)[1]
+        applied = applied_g([phase.residual for phase in phases])
+        face = np.unique(applied.round(), axis=0, return_inverse=True)[1]
         means = centre(np.array([mean(phase.residual) for phase in phases]), face)
         fits = []
         for first in range(1, len(phases)):
-            change = centre(np.where(np.arange(len(phases))[:, None] >= first, felt, 0.0), face)
+            change = centre(np.where(np.arange(len(phases))[:, None] >= first, applied, 0.0), face)
             square = (change**2).sum(axis=0)
             error = np.divide((change * means).sum(axis=0), square, out=np.zeros(3), where=(square > 0) & doubtful)
             fits.append((float(((means - change * error) ** 2)[:, doubtful].sum()), first, error))
@@ -342,14 +344,14 @@ def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
             yield from (scale.at(since) for scale in _scales(best_fits[0][1]))
 
 
-def _felt(evidence: Evidence, step: LevelStep) -> Floats:
+def _applied(evidence: Evidence, step: LevelStep) -> Floats:
     """Return (3,) the expected readings of the axes, without bias, in the phases at rest that reach into the step's
     last stretch.
     """
     span = step.when.spans[-1]
-    felt = [
+    applied = [
         evidence.fitted.by_response(evidence.fitted.unbiased(phase.raw) - mean(phase.residual))
         for phase in evidence.still
         if phase.log == span.log and span.moment_s < phase.raw.phase.end_ns * 1e-9 and phase.raw.rows
     ]
-    return np.mean(felt, axis=0) if felt else np.zeros(3)
+    return np.mean(applied, axis=0) if applied else np.zeros(3)

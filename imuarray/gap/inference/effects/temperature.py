@@ -106,7 +106,7 @@ def _slope_since(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _slope_between_logs(table: Levels) -> Iterator[Hypothesis]:
     """Suggest a slope by the levels on one face at several temperatures."""
-    faces = np.unique(np.nan_to_num(table.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
+    faces = np.unique(np.nan_to_num(table.applied_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
     fit = _fit_levels(_warmth(table)[:, None], table.mean, faces)
     if fit.coefficient.any():
         yield Hypothesis((ThermalBias(slope=triple(fit.coefficient[0])),), ("slope",))
@@ -279,10 +279,10 @@ def _by_scale(evidence: Evidence, table: Levels) -> Floats:
     """Return (3,) the error of the scale divided by the warming of the faces above the reference temperature; 0 if it
     is not determined.
     """
-    measured_response, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
+    measured_response, known = response(evidence), np.isfinite(table.applied_g).all(axis=1)
     if measured_response is None or not known.any():
         return np.zeros(3)
-    faces, of_face = np.unique(table.felt_g[known], axis=0, return_inverse=True)
+    faces, of_face = np.unique(table.applied_g[known], axis=0, return_inverse=True)
     warm = float(np.mean([_warmth(table)[known][of_face.ravel() == at].mean() for at in range(len(faces))]))
     score = size_of_score(evidence, "force_own")
     if abs(warm) < _LEAST_DEGC or not (score > ODD).any():
@@ -294,12 +294,12 @@ def _scale_slope(table: Levels, axis: int) -> float:
     """Return the slope of the scale by the slopes within logs, or else by the levels of all; 0 if neither determines
     it.
     """
-    known = np.isfinite(table.felt_g[:, axis])
-    felt, warm, mean = table.felt_g[known, axis], _warmth(table)[known], table.mean[known, axis : axis + 1]
+    known = np.isfinite(table.applied_g[:, axis])
+    applied, warm, mean = table.applied_g[known, axis], _warmth(table)[known], table.mean[known, axis : axis + 1]
     if not known.any():
         return 0.0
-    within = _fit_levels(np.stack([warm, warm * felt], axis=1), mean, table.group[known])
-    whole = _fit_levels(np.stack([np.ones_like(warm), warm, felt, warm * felt], axis=1), mean, None)
+    within = _fit_levels(np.stack([warm, warm * applied], axis=1), mean, table.group[known])
+    whole = _fit_levels(np.stack([np.ones_like(warm), warm, applied, warm * applied], axis=1), mean, None)
     for fit in (within, whole):
         if np.abs(fit.coefficient[-1, 0]) > _CLEAR * fit.error[-1, 0]:
             return float(fit.coefficient[-1, 0])

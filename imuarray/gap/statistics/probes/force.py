@@ -72,14 +72,14 @@ def returned(phases: Sequence[Summary]) -> Floats:
     return result
 
 
-def felt_g(phases: Sequence[Summary]) -> Floats:
+def applied_g(phases: Sequence[Summary]) -> Floats:
     """Return (f, 3) the specific force in g along the sensor's nominal axes in each of f phases, nan where no face is
     noted.
     """
-    return np.array([_felt(phase) for phase in phases])
+    return np.array([_applied(phase) for phase in phases])
 
 
-def _felt(phase: Summary) -> Floats:
+def _applied(phase: Summary) -> Floats:
     up = phase.phase.up
     return np.array(phase.header.orientation).T @ np.array(up_vector(up)) if up in UP_AXES else NOTHING
 
@@ -91,9 +91,9 @@ def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
     nothing = np.full((3, 3), np.nan)
     if not {phase.phase.up for phase in phases} >= _FACES:
         return nothing, nothing
-    felt, means = felt_g(phases), np.array([mean(phase) for phase in phases])
-    known = np.isfinite(felt).all(axis=1) & np.isfinite(means).all(axis=1)
-    design = np.concatenate([felt, felt**2], axis=1)[known]
+    applied, means = applied_g(phases), np.array([mean(phase) for phase in phases])
+    known = np.isfinite(applied).all(axis=1) & np.isfinite(means).all(axis=1)
+    design = np.concatenate([applied, applied**2], axis=1)[known]
     coefficients, _, rank, _ = np.linalg.lstsq(design, means[known], rcond=None)
     return (coefficients.T[:, :3], coefficients.T[:, 3:]) if rank == design.shape[1] else (nothing, nothing)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.margins import RMS, VARIANCE, unevenness
-from imuarray.gap.statistics.probes.force import felt_g
+from imuarray.gap.statistics.probes.force import applied_g
 from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, Probes, log, noise_lsb, once
 from imuarray.gap.statistics.summary import Summary
 
@@ -59,10 +59,10 @@ def with_force(phases: Sequence[Summary]) -> Floats:
     """
     if len({phase.phase.up for phase in phases}) < 2:
         return NOTHING
-    felt = felt_g(phases)
+    applied = applied_g(phases)
     values = np.array([log(_pooled_variance(phase)) for phase in phases])
-    loaded = np.abs(felt) > 0.5
-    known = np.isfinite(felt[:, :1]) & np.isfinite(values)
+    loaded = np.abs(applied) > 0.5
+    known = np.isfinite(applied[:, :1]) & np.isfinite(values)
     on, off = known & loaded, known & ~loaded
     if not (on.any(axis=0).all() and off.any(axis=0).all()):
         return NOTHING

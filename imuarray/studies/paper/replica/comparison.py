@@ -489,7 +489,7 @@ def _heated() -> _HeatingSpread:
     """Return the spread of the heating experiment's lines, from the temperature every half minute."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds, 30.0)
-    degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
+    degc = np.asarray(motion.stimulus((seconds * 1e9).astype(np.int64)).temperature_degc, float)
     deviation = degc - degc.mean()
     weights = deviation / (deviation**2).sum()
     wander = np.exp(-np.abs(np.subtract.outer(seconds, seconds)) / TIME_CONSTANT_S)

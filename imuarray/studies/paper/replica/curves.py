@@ -100,7 +100,7 @@ def profile(step_s: float = _STEP_S) -> TimeCurve:
     """Return the temperature (degC, in place of LSB) of the box while it is heated (Figure 7)."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds + step_s / 2, step_s)
-    degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
+    degc = np.asarray(motion.stimulus((seconds * 1e9).astype(np.int64)).temperature_degc, float)
     return TimeCurve(seconds, degc[:, None])
 
 
@@ -114,7 +114,7 @@ def against_temperature(observed: ExperimentData, channel: str) -> Scatter:
     name, letter = channel.split()
     axis, series, line = "xyz".index(letter), observed.warm[name], observed.heated[name]
     sampled = slice(None, None, max(1, round(_SCATTER_S * rate_hz(series))))
-    degc = np.asarray(Heating().felt(series.time_ns[sampled]).temperature_degc, float)
+    degc = np.asarray(Heating().stimulus(series.time_ns[sampled]).temperature_degc, float)
     lsb = series.counts[sampled, axis].astype(float)
     return Scatter(degc, lsb, float(line.slope[axis]), float(line.intercept[axis]))
 

@@ -27,8 +27,8 @@ from imuarray.log.writer import Block
 from imuarray.shipped import configs
 from imuarray.simulate.model import Model, load_model
 from imuarray.simulate.motion.faces import Still, turn_on_run
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.simulation import Simulation
 from imuarray.studies.paper.array_model import PARTS, WINDOW_S, high_rate_degc
@@ -121,7 +121,7 @@ def line(sensor: Triad, motion: Motion) -> TemperatureLine:
     """Fit counts to the box's temperature by least squares."""
     moments = np.zeros((2, 5))
     for block in blocks(sensor):
-        degc = motion.felt(block.time).temperature_degc
+        degc = motion.stimulus(block.time).temperature_degc
         with_one = np.stack([np.ones(len(degc)), degc])
         moments += with_one @ np.column_stack([with_one.T, block.counts])
     intercept, slope = np.linalg.solve(moments[:, :2], moments[:, 2:])

@@ -1,6 +1,6 @@
 """Stimulus of the box as a function of time: the interface between motions and the sensors that measure them.
 
-A motion is a pure function of time; its one required method is `felt`. Times are int64 nanoseconds since the log's
+A motion is a pure function of time; its one required method is `stimulus`. Times are int64 nanoseconds since the log's
 epoch, vectors are in the box frame.
 """
 
@@ -14,7 +14,7 @@ from imuarray.log.format import Phase
 
 
 @dataclass(frozen=True)
-class Felt:
+class BoxStimulus:
     """The stimulus of the box at n instants `time_ns` (n,): specific force (n, 3) in m/s2, angular rate (n, 3) in
     rad/s, angular acceleration (n, 3) in rad/s2 and magnetic field (n, 3) in gauss, all in the box frame and at its
     origin; temperature (n,) and pressure (n,).
@@ -44,7 +44,7 @@ class Motion(Protocol):
     def seconds(self) -> float:
         """The duration in s; after it the stimulus keeps its final value."""
 
-    def felt(self, time_ns: Integers) -> Felt:
+    def stimulus(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus of the box at these times (n,), in any order."""
 
 
