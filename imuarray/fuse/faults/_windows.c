@@ -1,10 +1,10 @@
 /* Consecutive decision windows in which nothing happens, judged and learnt from one after the other.
 
-   Does what `WindowSeries.seen`, `Normal.learn_sums` and `Normal.learn_noise` do of one window, of as many windows as it
-   leads through, and what `Baseline.departed` does of every so many: a window is some thousand multiplications, which NumPy
-   spreads over a hundred calls. Stops before a window in which anything might have happened, with nothing of that window
-   done; the Python code then judges it.
-   The names are those of the Python code, where every step is explained.
+   Does what `FaultIsolation` does with windows without a fault, with the bounds that `fast_path.py` names in place of the
+   gains and energies, and what `Baseline.departed` does at intervals: a window is some thousand multiplications, which NumPy
+   spreads over a hundred calls. It stops before a window that the bounds do not decide, with the state of the window before;
+   the Python code then decides it.
+   The names are those of the Python code (`NormalModel`, `WindowResiduals`, `WindowSeries`), where the steps are explained.
 
    Sizes: k windows, n frames each, m axes; STATES = 5 states of an axis, COURSES = 7 courses. */
 
@@ -94,7 +94,7 @@ static int solve(double left[STATES][STATES], double right[STATES][STATES]) {
     return 1;
 }
 
-/* `Stillness.moves`: no sensor stands still. */
+/* No sensor stands still: a bound of `Stillness`. */
 static int moves(const double *changes, const double *usual, Py_ssize_t m, double quiet) {
     for (Py_ssize_t i = 0; i < m; i += 3) {
         double share = changes[i] / usual[i] + changes[i + 1] / usual[i + 1] + changes[i + 2] / usual[i + 2];
@@ -103,7 +103,7 @@ static int moves(const double *changes, const double *usual, Py_ssize_t m, doubl
     return 1;
 }
 
-/* The triad of the biases, in `offset`, and the mean regressors (m, STATES) of a window without it: `WindowSeries.usual`. */
+/* The triad of the biases, in `offset`, and the mean regressors (m, STATES) of a window without it: `WindowResiduals.usual`. */
 static void find_usual(const Arrays *a, Py_ssize_t index, Py_ssize_t m, double *usual, double offset[3]) {
     for (int j = 0; j < 3; j++) {
         offset[j] = 0;
@@ -138,7 +138,8 @@ static int stays(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssi
     return 1;
 }
 
-/* `WindowSeries._sound`: who is to be learnt from; 0 where something may speak for a fault, or for who is waiting. */
+/* The axes from which the normal model is updated; 0 if there may be a fault, or if an excluded group of axes may agree. The
+   sum of squares of the means, before or after the triad is fitted, is an upper bound of the gain of every fault. */
 static int find_sound(const Arrays *a, const Limits *limits, Py_ssize_t m, Work *w) {
     const double *included = a->masks, *waiting = a->masks + 2 * m;
     double least = INFINITY, greatest = 0, most = 0;
@@ -190,7 +191,8 @@ static int find_sound(const Arrays *a, const Limits *limits, Py_ssize_t m, Work 
     return 1;
 }
 
-/* `WindowSeries.seen`: whether a window shows nothing; what it shows else is in `w`. */
+/* Whether a window shows no fault; its residuals are those of the readings less those of the seven courses as made by the
+   states. Their sum of squares over the noise alone is an upper bound of every energy. The results are in `w`. */
 CLONES static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssize_t n, Py_ssize_t m, Work *w,
                 double offset[3]) {
     const double *own = a->own + index * n * m, *courses = a->courses + index * n * COURSES;
@@ -242,7 +244,7 @@ CLONES static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, 
     return find_sound(a, limits, m, w);
 }
 
-/* `Normal.learn_sums` of one axis, with the sums as its state sees them: the triad less `offset`. 0: no solution. */
+/* `NormalModel.learn` of one axis, with the sums as its state sees them: the triad less `offset`. 0: no solution. */
 static int learn_state(const Arrays *a, const double *moments, const Work *w, Py_ssize_t i, Py_ssize_t m,
                        const double offset[3], double covariance[STATES][STATES], double change[STATES]) {
     double sheared[STATES][STATES], both[STATES][STATES], spoken[STATES][STATES], products[STATES];
@@ -280,7 +282,7 @@ static int learn_state(const Arrays *a, const double *moments, const Work *w, Py
     return 1;
 }
 
-/* `Normal.learn_noise` of one axis, if it is `whole`. */
+/* `NormalModel.learn_noise` of one axis, if it is `whole`. */
 static void learn_noise(const Arrays *a, const Limits *limits, const Work *w, Py_ssize_t i, Py_ssize_t n, Py_ssize_t m,
                         int whole) {
     if (!whole) {

@@ -8,14 +8,14 @@ The decisions use the hypotheses of `imuarray.fuse.faults.hypotheses` and two ki
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate.runs import Ranges
 from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
-from imuarray.fuse.faults.fast_path import QUIETEST, DriftCheck, WindowSeries
+from imuarray.fuse.faults.fast_path import COMPILED, QUIETEST, DriftCheck, WindowSeries
 from imuarray.fuse.faults.hypotheses import (
     AXIS_GAIN,
     QUIET,
@@ -54,7 +54,7 @@ class Silence:
         """True if any sensor is reported as silent."""
         return bool(self._reported.any())
 
-    def all_present(self, windows: int = 1) -> None:
+    def all_present(self, windows: int) -> None:
         """Count windows in which every sensor has enough readings, if none is silent."""
         self._absent[:] = 0
         self._heard += windows
@@ -109,17 +109,8 @@ class Stillness:
         """True if any sensor stood still in the window before."""
         return self._quiet.any or self._stale.any
 
-    def moves(self, changes: Floats, normal: NormalModel) -> bool:
-        """Return whether no sensor stands still in the window before and in this one, from its mean squares of
-        `changes` (m,); every reading must be present and none stale.
-        """
-        if self.any:
-            return False
-        share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
-        return bool(share.min() >= 3 * QUIET)
-
-    def count_moving(self, windows: int = 1) -> None:
-        """Count windows for which `moves` is true."""
+    def count_moving(self, windows: int) -> None:
+        """Count windows in which no sensor stands still; nor did any in the window before."""
         self._quiet.count(windows)
         self._stale.count(windows)
 
@@ -203,10 +194,10 @@ class FaultIsolation:
 
     def stretch(self, time: Times, values: Floats) -> WindowSeries | None:
         """Return the fast path for windows, time (k, n) ns and values (k, n, m), in which every reading is present and
-        none is stale; None if it does not apply now.
+        none is stale; None if it does not apply now, and without compiled code.
         """
         out = self.out
-        if not self._normal.settled:
+        if not COMPILED or not self._normal.settled:
             return None
         white = self._spaces(np.where(out, 0.0, 1 / self._normal.variance))
         if white is None:
@@ -240,38 +231,6 @@ class FaultIsolation:
                 exclusion.agreed = 0
         return passed
 
-    def process_undisturbed(
-        self, stretch: WindowSeries, index: int, window: Callable[[], DecisionWindow], masks: Sequence[Booleans]
-    ) -> bool:
-        """Process the next window, number `index` of `stretch`, by the fast path; False, without any change, if that
-        does not decide.
-        """
-        normal, changes = self._normal, stretch.changes[index]
-        if self._silence.any or not self._still.moves(changes, normal):
-            return False
-        if not all(exclusion.named for exclusion in self._out):
-            return False
-        seen = stretch.seen(index, normal, [exclusion.axes for exclusion in self._out])
-        if seen is None:
-            return False
-        self._count += 1
-        self._silence.all_present()
-        normal.covariance = seen.aged
-        self._still.count_moving()
-        if self._count % _BASELINE_WINDOWS == 0:
-            suspect, drifted = self._baseline.departed(stretch.included, seen.usual, normal)
-            if suspect is not None:
-                self._decide(window(), masks, stretch.out, (suspect, drifted))
-                return True
-        whole = seen.sound & stretch.observable & (changes > QUIETEST * normal.change)
-        sound = slice(None) if seen.sound.all() else np.flatnonzero(seen.sound)
-        normal.learn_sums(seen.moments[sound], seen.products[sound], seen.sound)
-        normal.learn_noise(seen.residual, seen.means, stretch.share, stretch.counts, whole)
-        for exclusion in self._out:
-            exclusion.agreed = 0
-            masks[-1][list(exclusion.axes)] = True
-        return True
-
     def __call__(self, window: DecisionWindow, masks: Sequence[Booleans]) -> None:
         """Process the next window; `masks` (m,) of it (the last one) and of the one before are set to True for excluded
         axes.
@@ -286,19 +245,11 @@ class FaultIsolation:
             self._exclude(Suspect(_members(sensor), _STUCK_GAIN, "energy"), time_ns)
         self._decide(window, masks, before)
 
-    def _decide(
-        self,
-        window: DecisionWindow,
-        masks: Sequence[Booleans],
-        before: Booleans,
-        departed: tuple[Suspect, float] | None = None,
-    ) -> None:
-        """Exclude sensors in addition to those `before`, and readmit others; `departed` is a sensor whose drift exceeds
-        its limit, if that was tested already.
-        """
+    def _decide(self, window: DecisionWindow, masks: Sequence[Booleans], before: Booleans) -> None:
+        """Exclude sensors in addition to those `before`, and readmit others."""
         time_ns = int(window.time[0])
         waiting = [e for e in self._out if not e.named and before[list(e.axes)].any()]
-        seen, doubted = self._search(window, time_ns, departed)
+        seen, doubted = self._search(window, time_ns)
         if seen is not None:
             for exclusion in waiting:
                 if any(exclusion is each for each in self._out):  # else it has become part of another one
@@ -317,9 +268,7 @@ class FaultIsolation:
             if not exclusion.named:
                 self.report.isolated(exclusion, exclusion.first)
 
-    def _search(
-        self, window: DecisionWindow, time_ns: int, departed: tuple[Suspect, float] | None = None
-    ) -> tuple[WindowResiduals | None, Booleans]:
+    def _search(self, window: DecisionWindow, time_ns: int) -> tuple[WindowResiduals | None, Booleans]:
         """Exclude one suspect after the other until the others agree. Return the residuals of the window by these
         (None: they are too few), and the axes (m,) of sensors with a fault that is not isolated.
         """
@@ -337,9 +286,7 @@ class FaultIsolation:
                 if suspect is None:
                     self.report.count_disagreement()
                     return seen, ~none
-            if suspect is None and departed is not None:
-                (suspect, drifted), departed = departed, None
-            elif suspect is None and self._count % _BASELINE_WINDOWS == 0:
+            if suspect is None and self._count % _BASELINE_WINDOWS == 0:
                 suspect, drifted = self._baseline.departed(seen.included, seen.usual, self._normal)
             if suspect is None:
                 return seen, none

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -116,22 +115,19 @@ class FaultMonitor:
         stretch, start, ahead, number = None, 0, _AT_FIRST, 0
         while number < len(starts):
             if sound[number]:
-                if stretch is None or number - start >= len(stretch.changes):
+                if stretch is None or number - start >= len(stretch):
                     stretch, start = self._stretch(held, starts[number : number + ahead]), number
                     ahead = min(2 * ahead, _AT_ONCE)
                 if stretch is not None:
-                    last = min(int(disturbed[np.searchsorted(disturbed, number)]), start + len(stretch.changes))
+                    last = min(int(disturbed[np.searchsorted(disturbed, number)]), start + len(stretch))
                     passed = self._isolation.advance(stretch, range(number - start, last - start))
                     self._masks += [stretch.out.copy() for _ in range(passed)]
                     number += passed
                     if passed:
                         continue
             self._masks.append(np.zeros(held.valid.shape[1], bool))
-            masks, excluded = self._masks[-2:], self._isolation.out
-            window = partial(self._window_at, held, starts[number])
-            short = stretch if sound[number] else None
-            if short is None or not self._isolation.process_undisturbed(short, number - start, window, masks):
-                self._isolation(window(), masks)
+            excluded = self._isolation.out
+            self._isolation(self._window_at(held, starts[number]), self._masks[-2:])
             if (self._isolation.out != excluded).any():
                 stretch, ahead = None, _AT_FIRST
             number += 1

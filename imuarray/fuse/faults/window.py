@@ -186,30 +186,19 @@ class NormalModel:
         """Predict the states one window ahead: biases wander, and errors of responses return to their prior. Excluded
         axes do not age, because they must return with the state they had.
         """
-        self.covariance = np.where(which[:, None, None], self.aged(), self.covariance)
-
-    def aged(self) -> Floats:
-        """Return the covariances (m, 5, 5) one window later."""
         older = self.covariance * self.kept
         older += self.fresh
         older[:, 0, 0] += self.wander * self.variance
-        return older
+        self.covariance = np.where(which[:, None, None], older, self.covariance)
 
     def learn(self, regressors: Floats, residual: Floats, which: Booleans) -> None:
         """Update the states of the axes `which` by the residuals (n, m) of a window; invalid residuals and their
-        regressors are 0.
+        regressors are 0. Readings have less weight where their unknown age matters, as in a jerk.
         """
         axes = np.flatnonzero(which)
         rows = regressors[axes]
         turned = rows.transpose(0, 2, 1)
-        self.learn_sums(turned @ rows, (turned @ residual.T[axes, :, None])[..., 0], which)
-
-    def learn_sums(self, moments: Floats, products: Floats, which: Booleans) -> None:
-        """Update the states by sums over a window for the p axes `which`: products of the regressors with each other
-        (p, 5, 5) and with the residuals (p, 5). Readings have less weight where their unknown age matters, as in a
-        jerk.
-        """
-        axes = slice(None) if which.all() else np.flatnonzero(which)
+        moments, products = turned @ rows, (turned @ residual.T[axes, :, None])[..., 0]
         age = self.jitter_of(moments[:, 4, 4] / np.maximum(moments[:, 0, 0], 1.0))
         weight = 1 / ((self.colour * self.variance)[axes] + age)[:, None]
         covariance = self.covariance[axes]
