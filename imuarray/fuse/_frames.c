@@ -1,6 +1,6 @@
-/* Passes over frames that `imuarray.fuse.alignment` and `imuarray.fuse.least_squares` also do with NumPy: triads by a
-   constant gain, the readings of a sensor on the grid, the consensus of the sensors, splines between frames, the removal of the motion since a frame, and
-   covariances. NumPy writes and reads an array for each step of them; here the intermediate results of a few frames stay
+/* Passes over frames that `imuarray.fuse.alignment` and `imuarray.fuse.least_squares` also do with NumPy and SciPy: triads by
+   a constant gain, the readings of a sensor on the grid, the consensus of the sensors, splines between frames, the removal of
+   the motion since a frame, and covariances. NumPy writes and reads an array for each step of them; here the intermediate results of a few frames stay
    in the cache. The Python code explains every step. The results are the same to rounding, of readings and of splines to
    the bit. */
 
@@ -365,7 +365,8 @@ static PyObject *delay_noise(PyObject *module, PyObject *args) {
     return released(views, held);
 }
 
-/* The right sides of the equations of the slopes of one column (k > 3), each over its diagonal; see `_Spline`. */
+/* The right sides of the equations of the slopes of one column (k > 3), each over its diagonal: the slopes make the second
+   derivative continuous; with those at the ends eliminated ("not a knot"), the equations are diagonally dominant. */
 CLONES static void right_sides(const double *widths, const double *column, const double *diagonal, double *rises, double *x,
                                Py_ssize_t k) {
     const Py_ssize_t last = k - 1;

@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,9 @@ from imuarray.fuse.least_squares import consensus
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from imuarray.printable import counted
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 FOREVER_NS = 1 << 62
 """A time in ns that is later than any time of a log."""
@@ -226,8 +229,9 @@ def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats
         if _are_rows(known[run], inside[:_SAMPLE]) and _are_rows(known[run], inside):  # the sample usually differs
             result[first:last] = rows[run.start + np.searchsorted(known[run], inside)]
             continue
-        spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
-        result[first:last] = spline.at((inside - known[0]) * 1e-9)
+        knots, places = (known[run] - known[0]) * 1e-9, (inside - known[0]) * 1e-9
+        compiled = compiled_frames.spline_at(knots, rows[run], places)
+        result[first:last] = _spline(knots, rows[run])(places) if compiled is None else compiled
     return result
 
 
@@ -246,120 +250,22 @@ def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floa
     """
     first, second = np.zeros(rows.shape[::-1]).T, np.zeros(rows.shape[::-1]).T
     for run in _stretches(known, rows, gap_ns):
-        spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
-        first[run], second[run] = spline.slopes, spline.curvatures()
+        knots = (known[run] - known[0]) * 1e-9
+        compiled = compiled_frames.spline_derivatives(knots, rows[run])
+        if compiled is None:
+            spline = _spline(knots, rows[run])
+            compiled = spline(knots, 1), spline(knots, 2)
+        first[run], second[run] = compiled
     return first, second
 
 
-_NEGLIGIBLE = 1e-18
-"""Largest factor of a neighbour that is below the rounding of a sum."""
-
-
-class _Spline:
-    """The cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either side of
-    the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV): the same
-    spline as `scipy.interpolate.CubicSpline`, whose import would add a third of a second to every command.
-
-    Columns are contiguous, (c, k), because numpy is several times slower on rows of three.
+def _spline(knots: Floats, rows: Floats) -> CubicSpline:
+    """Return the cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either
+    side of the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV).
     """
+    from scipy.interpolate import CubicSpline  # would add a third of a second to every command
 
-    def __init__(self, knots: Floats, rows: Floats) -> None:
-        self._knots, self._columns = knots, np.ascontiguousarray(rows.T)
-        self._widths = np.diff(knots)
-        compiled = compiled_frames.spline_slopes(self._widths, self._columns) if len(knots) > 3 else None
-        self._slopes = np.ascontiguousarray(self._solved()) if compiled is None else compiled
-
-    @property
-    def slopes(self) -> Floats:
-        """(k, c) first derivatives at the knots."""
-        return self._slopes.T
-
-    def curvatures(self) -> Floats:
-        """Return (k, c) second derivatives at the knots."""
-        compiled = compiled_frames.spline_curvatures(self._widths, self._columns, self._slopes)
-        if compiled is not None:
-            return compiled.T
-        square, cube = self._powers()
-        last = 2 * square[:, -1:] + 6 * cube[:, -1:] * self._widths[-1]
-        return np.concatenate([2 * square, last], axis=1).T
-
-    def at(self, places: Floats) -> Floats:
-        """Return the spline (n, c) at increasing places (n,) from the first to the last knot."""
-        compiled = compiled_frames.spline_at((self._knots, self._widths), self._columns, self._slopes, places)
-        if compiled is not None:
-            return compiled.T
-        piece = np.clip(np.searchsorted(self._knots, places, "right") - 1, 0, len(self._knots) - 2)
-        square, cube = self._powers()
-        beyond = places - self._knots[piece]
-        result = beyond * cube[:, piece]
-        for power in (square, self._slopes):
-            result += power[:, piece]
-            result *= beyond
-        return np.asarray(self._columns[:, piece] + result).T
-
-    def _powers(self) -> tuple[Floats, Floats]:
-        """Return the coefficients (c, k - 1) of the square and the cube of the distance from the knot before."""
-        rises = self._rises()
-        bend = (self._slopes[:, :-1] + self._slopes[:, 1:] - 2 * rises) / self._widths
-        return (rises - self._slopes[:, :-1]) / self._widths - bend, bend / self._widths
-
-    def _rises(self) -> Floats:
-        """Return the slopes (c, k - 1) of straight lines between the knots."""
-        return np.asarray(np.diff(self._columns) / self._widths)
-
-    def _solved(self) -> Floats:
-        """Return the slopes (c, k) at the knots that make the second derivative continuous."""
-        widths, rises, count = self._widths, self._rises(), len(self._knots)
-        if count == 2:
-            return np.repeat(rises, 2, axis=1)
-        right = np.empty(self._columns.shape)
-        right[:, 1:-1] = 3 * (widths[1:] * rises[:, :-1] + widths[:-1] * rises[:, 1:])
-        if count == 3:  # one parabola
-            right[:, 0], right[:, -1] = 2 * rises[:, 0], 2 * rises[:, 1]
-            h, g = widths
-            matrix = np.array([[1.0, 1.0, 0.0], [g, 2 * (h + g), h], [0.0, 1.0, 1.0]])
-            return np.asarray(np.linalg.solve(matrix, right.T)).T
-        first, last = widths[0] + widths[1], widths[-2] + widths[-1]
-        right[:, 0] = ((widths[0] + 2 * first) * widths[1] * rises[:, 0] + widths[0] ** 2 * rises[:, 1]) / first
-        right[:, -1] = (widths[-1] ** 2 * rises[:, -2] + (2 * last + widths[-1]) * widths[-2] * rises[:, -1]) / last
-        right[:, 1] -= right[:, 0]  # with the slopes at the ends eliminated, the other rows are diagonally dominant
-        right[:, -2] -= right[:, -1]
-        diagonal = 2 * (widths[:-1] + widths[1:])
-        diagonal[0], diagonal[-1] = first, last
-        before, after = -widths[1:] / diagonal, -widths[:-1] / diagonal
-        before[0] = after[-1] = 0.0
-        slopes = right
-        inner = right[:, 1:-1] / diagonal
-        slopes[:, 1:-1] = _cyclic_reduction(before, after, inner)
-        slopes[:, 0] = (right[:, 0] - first * slopes[:, 1]) / widths[1]
-        slopes[:, -1] = (right[:, -1] - last * slopes[:, -2]) / widths[-2]
-        return slopes
-
-
-def _cyclic_reduction(before: Floats, after: Floats, alone: Floats) -> Floats:
-    """Solve ``x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1]`` for x (c, k); the sum of the two factors (k,)
-    of every row is below one.
-
-    Parallel cyclic reduction: substitution of the neighbours' equations leaves the same equations between rows twice as
-    far apart, whose factors are about the squares of those before, and soon below the precision (R. W. Hockney and C.
-    R. Jesshope, "Parallel Computers 2", 1988, section 5.4.3).
-    """
-    apart, result = 1, alone
-    while apart < len(before) and max(np.abs(before).max(), np.abs(after).max()) > _NEGLIGIBLE:
-        later, sooner = before[apart:], after[:-apart]  # the factors of rows with a neighbour at this distance
-        through = later * sooner
-        own = np.ones(len(before))
-        own[apart:] -= through
-        own[:-apart] -= through
-        more = result.copy()
-        more[:, apart:] += later * result[:, :-apart]
-        more[:, :-apart] += sooner * result[:, apart:]
-        result = more / own
-        further_before, further_after = np.zeros(len(before)), np.zeros(len(before))
-        further_before[apart:] = later * before[:-apart]
-        further_after[:-apart] = sooner * after[apart:]
-        before, after, apart = further_before / own, further_after / own, 2 * apart
-    return result
+    return CubicSpline(knots, rows)
 
 
 def _stretches(known: Times, rows: Floats, gap_ns: float) -> list[slice]:

@@ -135,35 +135,33 @@ def delay_noise(
     return result.T
 
 
-def spline_slopes(widths: Floats, columns: Floats) -> Floats | None:
-    """Return the slopes (c, k) of a spline through columns (c, k), k > 3, whose knots are `widths` (k - 1,) apart. None
-    without compiled code.
+def spline_at(knots: Floats, rows: Floats, places: Floats) -> Floats | None:
+    """Return the spline through rows (k, c) at knots (k,) (`alignment._spline`) at increasing places (n,): (n, c). None
+    without compiled code, and for fewer than four knots.
     """
-    if not COMPILED:
+    if not COMPILED or len(knots) < 4:
         return None
+    widths, columns = np.diff(knots), np.ascontiguousarray(rows.T)
+    result = np.empty((len(columns), len(places)))
+    given = knots, widths, columns, _slopes(widths, columns), np.ascontiguousarray(places)
+    _frames.at((*given, result), (*columns.shape, len(places)))
+    return result.T
+
+
+def spline_derivatives(knots: Floats, rows: Floats) -> tuple[Floats, Floats] | None:
+    """Return the first and the second derivative (k, c) at the knots of the spline of `spline_at`; None as there."""
+    if not COMPILED or len(knots) < 4:
+        return None
+    widths, columns = np.diff(knots), np.ascontiguousarray(rows.T)
+    slopes, curvatures = _slopes(widths, columns), np.empty(columns.shape)
+    _frames.curvatures((widths, columns, slopes, curvatures), columns.shape)
+    return slopes.T, curvatures.T
+
+
+def _slopes(widths: Floats, columns: Floats) -> Floats:
+    """Return the slopes (c, k) of a spline through columns (c, k) whose knots are `widths` (k - 1,) apart."""
     result = np.empty(columns.shape)
     _frames.slopes((widths, columns, result, np.empty((5, columns.shape[1]))), columns.shape)
-    return result
-
-
-def spline_curvatures(widths: Floats, columns: Floats, slopes: Floats) -> Floats | None:
-    """Return the second derivatives (c, k) of a spline at its knots. None without compiled code."""
-    if not COMPILED:
-        return None
-    result = np.empty(columns.shape)
-    _frames.curvatures((widths, columns, slopes, result), columns.shape)
-    return result
-
-
-def spline_at(knots: tuple[Floats, Floats], columns: Floats, slopes: Floats, places: Floats) -> Floats | None:
-    """Return a spline (c, n) at increasing places (n,); `knots` are its knots (k,) and their distances (k - 1,). None
-    without compiled code.
-    """
-    if not COMPILED:
-        return None
-    result = np.empty((len(columns), len(places)))
-    sizes = (*columns.shape, len(places))
-    _frames.at((*knots, columns, slopes, np.ascontiguousarray(places), result), sizes)
     return result
 
 

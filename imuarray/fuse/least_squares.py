@@ -38,31 +38,24 @@ BLOCK_BYTES = 1 << 19
 class ConstantGain:
     """Triads from counts: ``gain @ (counts - bias)``, with the bias subtracted from the triad and not from every count.
 
-    `gain` (3, m) in SI per count, `bias` (m,) in counts. `precision` is that of the arithmetic: the error of float32 is
-    about 1e-7 of the largest term, far below the noise of any sensor. Double precision uses compiled code if installed.
+    `gain` (3, m) in SI per count, `bias` (m,) in counts.
     """
 
-    def __init__(self, gain: Floats, bias: Floats, precision: type[np.float32] | type[np.float64] = np.float64) -> None:
-        self._gain, self._of_bias = gain.astype(precision), gain @ bias
-        self._factors = np.ascontiguousarray(np.pad(gain.T, ((0, 0), (0, 1)))) if precision is np.float64 else None
-        rows = max(1, BLOCK_BYTES // (len(bias) * np.dtype(precision).itemsize))
-        self._counts = np.empty((rows, len(bias)), precision)
-        self._triads = np.empty((3, rows), precision)
+    def __init__(self, gain: Floats, bias: Floats) -> None:
+        self._gain, self._of_bias = gain, gain @ bias
+        self._factors = np.ascontiguousarray(np.pad(gain.T, ((0, 0), (0, 1))))
+        self._rows = max(1, BLOCK_BYTES // (8 * len(bias)))
 
     def __call__(self, counts: Sequence[npt.NDArray[Any]]) -> Floats:
         """Return triads (n, 3) from arrays of counts (n, k) with m columns in total."""
-        compiled = None if self._factors is None else compiled_frames.combine(counts, self._factors, self._of_bias)
+        compiled = compiled_frames.combine(counts, self._factors, self._of_bias)
         if compiled is not None:
             return compiled.T
         triads = np.empty((3, len(counts[0])))  # one row per axis: BLAS takes a third longer for rows of three
-        for start in range(0, triads.shape[1], len(self._counts)):
-            rows = slice(start, min(start + len(self._counts), triads.shape[1]))
-            buffer, column = self._counts[: rows.stop - start], 0
-            for part in counts:
-                buffer[:, column : column + part.shape[1]] = part[rows]
-                column += part.shape[1]
-            product = np.matmul(self._gain, buffer.T, out=self._triads[:, : len(buffer)])
-            np.subtract(product, self._of_bias[:, None], out=triads[:, rows])
+        for start in range(0, triads.shape[1], self._rows):
+            rows = slice(start, start + self._rows)
+            block = np.concatenate([part[rows] for part in counts], axis=1, dtype=np.float64)
+            triads[:, rows] = self._gain @ block.T - self._of_bias[:, None]
         return triads.T
 
 
@@ -266,9 +259,6 @@ _TIMES_USUAL = 4.0
 _CONSENSUS_BYTES = 1 << 18
 """Size in bytes of the readings that are processed at once, so that they and the intermediate results fit the cache."""
 
-_FEW = 8
-"""Largest number of sensors that are sorted by exchanges of neighbours."""
-
 
 def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> Floats:
     """Return the robust mean (n, 3) of the valid `values` (n, m) in SI of axes along `rows` (m, 3), in triads; NaN
@@ -311,8 +301,6 @@ def _agreed(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> 
     whole: Booleans = valid[0::3] & valid[1::3] & valid[2::3]
     checked: Booleans = np.asarray(whole.sum(axis=0) > 2)  # two sensors don't show which one is wrong
     some = np.flatnonzero(doubtful.any(axis=0) & checked)
-    if len(some) == len(checked):
-        return _limited(values, valid, whole, rows, tolerated)
     if len(some):
         mean[:, some] = _limited(values[:, some], valid[:, some], whole[:, some], rows, tolerated)
     return mean
@@ -324,11 +312,10 @@ def _limited(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tol
     for first, own in zip(range(0, len(rows), 3), np.linalg.inv(rows.reshape(-1, 3, 3)), strict=True):
         inverse[first : first + 3, first : first + 3] = own
     triads = (inverse @ values).reshape(-1, 3, values.shape[1])
-    middle = _middle(triads) if whole.all() else _medians(np.where(whole[:, None], triads, np.nan))
+    middle = _medians(np.where(whole[:, None], triads, np.nan))
     apart = values - rows @ middle
-    far, of_valid = np.abs(apart), valid.all()
-    usual = _medians(far if of_valid else np.where(valid, far, np.nan))
-    far = far if of_valid else np.where(valid, far, 0.0)
+    usual = _medians(np.where(valid, np.abs(apart), np.nan))
+    far = np.where(valid, np.abs(apart), 0.0)
     most = np.maximum(np.maximum(far[0::3], far[1::3]), far[2::3])
     share = np.minimum(1.0, (tolerated + _TIMES_USUAL * usual) / np.maximum(most, 1e-300))
     return middle + _mean(apart * np.repeat(share, 3, axis=0), valid, rows)
@@ -336,26 +323,7 @@ def _limited(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tol
 
 def _mean(values: Floats, valid: Booleans, rows: Floats) -> Floats:
     """Return least squares (3, n) of the valid ones of values (m, n), all with the same weight."""
-    if valid.all():
-        gains, solvable = frame_gains(np.ones((1, len(rows))), rows)
-        if solvable[0]:
-            return np.asarray(gains[0] @ values)
     return solve_frames(values.T, valid.T.astype(float), rows).T
-
-
-def _middle(triads: Floats) -> Floats:
-    """Return the medians (3, n) of whole triads (s, 3, n). A few sensors are sorted by exchanges of neighbours for all
-    frames at once, which is faster than frame by frame.
-    """
-    columns = list(triads)
-    count = len(columns)
-    if count > _FEW:
-        return _medians(triads)
-    for turn in range(count):  # odd-even transposition sort (N. Haberman, 1972)
-        for low in range(turn % 2, count - 1, 2):
-            low_column, high_column = columns[low], columns[low + 1]
-            columns[low], columns[low + 1] = np.minimum(low_column, high_column), np.maximum(low_column, high_column)
-    return np.asarray((columns[(count - 1) // 2] + columns[count // 2]) / 2)
 
 
 def _medians(values: Floats) -> Floats:

@@ -1,14 +1,14 @@
 """Fusion of arrays beside a loop over their frames, beside reading the counts from a log, and beside the time there is.
 
-The kernel (`imuarray.fuse.least_squares.ConstantGain`, in double precision as `fuse` uses it where every reading is at
-its frame's time and none is in doubt, and in single) has the counts in memory, six triads and the paper's 27 axes; so
-have the loop, ``W @ (raw - b)`` frame by frame with NumPy. Beside it stand ``counts.sum()`` over the same array, and
-what it takes to read the same counts from a finished file: what a user waits for anyhow, on any processor.
+The kernel (`imuarray.fuse.least_squares.ConstantGain`, which `fuse` uses where every reading is at its frame's time and
+none is in doubt) has the counts in memory, six triads and the paper's 27 axes; so have the loop, ``W @ (raw - b)``
+frame by frame with NumPy. Beside it stand ``counts.sum()`` over the same array, and what it takes to read the same
+counts from a finished file: what a user waits for anyhow, on any processor.
 The whole way is `fuse(log)` from the file to the estimates with their covariance, of a log whose sensors are read at
-once and of one
-whose sensors are read one after the other, beside a loop that reads the same log 4096 rows at a time and does nothing
-but ``W @ (raw - b)``: no times, no flags. Live is the same array at 400 Hz in steps of a second, as `log --fuse` gets
-it, by the mean and by the estimator of the whole array. Turns are taken alternately and the least of each side counts.
+once and of one whose sensors are read one after the other, beside a loop that reads the same log 4096 rows at a time
+and does nothing but ``W @ (raw - b)``: no times, no flags. Live is the same array at 400 Hz in steps of a second, as
+`log --fuse` gets it, by the mean and by the estimator of the whole array. Turns are taken alternately and the least of
+each side counts.
 Memory is what Python and NumPy allocate.
 """
 
@@ -70,31 +70,25 @@ def kernel(columns: int) -> list[Row]:
     rng = np.random.default_rng(1)
     counts = rng.integers(-20_000, 20_000, (FRAMES, columns)).astype(np.int16)
     gain, bias = rng.normal(size=(3, columns)) * 1e-3, rng.normal(0, 50, columns)
-    double, single = ConstantGain(gain, bias), ConstantGain(gain, bias, np.float32)
-    difference = np.abs(double([counts[:100]]) - looped(counts[:100], gain, bias)).max()
+    combine = ConstantGain(gain, bias)
+    difference = np.abs(combine([counts[:100]]) - looped(counts[:100], gain, bias)).max()
     if difference > 1e-9:
         raise ValueError(f"the kernel and the loop differ by {difference}")
-    names = {"double": lambda: double([counts]), "single": lambda: single([counts])}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "counts.h5"
         options = {"chunks": (4096, columns), "compression": "gzip", "shuffle": True, "fletcher32": True}
         with h5py.File(path, "w") as file:
             file.create_dataset("counts", data=counts // 1000, **options)  # as noise at rest packs
         peers = [lambda: looped(counts[:LOOPED], gain, bias), lambda: counts.sum(), lambda: from_file(path)]
-        times = [[seconds(call) for call in (*names.values(), *peers)] for _ in range(TURNS)]
-    *ours, loop_s, sum_s, read_s = (min(column) for column in zip(*times, strict=True))
-    found = []
-    for name, took_s in zip(names, ours, strict=True):
-        title = f"fusion kernel, {columns} axes to 3, {name} precision"
-        speed, peer = FRAMES / took_s / 1e6, LOOPED / loop_s / 1e6
-        found.append(row(f"{title}, against a loop over frames", speed, peer, "1e6 frames/s", 40.0, "higher"))
-        found.append(
-            row(f"{title}, against the counts' sum", took_s / FRAMES * 1e9, sum_s / FRAMES * 1e9, "ns", 3.0, "lower")
-        )
-        found.append(
-            row(f"{title}, against reading them", took_s / FRAMES * 1e9, read_s / FRAMES * 1e9, "ns", 0.5, "lower")
-        )
-    return found
+        times = [[seconds(call) for call in (lambda: combine([counts]), *peers)] for _ in range(TURNS)]
+    took_s, loop_s, sum_s, read_s = (min(column) for column in zip(*times, strict=True))
+    title, each_ns = f"fusion kernel, {columns} axes to 3", took_s / FRAMES * 1e9
+    speed, peer = FRAMES / took_s / 1e6, LOOPED / loop_s / 1e6
+    return [
+        row(f"{title}, against a loop over frames", speed, peer, "1e6 frames/s", 40.0, "higher"),
+        row(f"{title}, against the counts' sum", each_ns, sum_s / FRAMES * 1e9, "ns", 3.0, "lower"),
+        row(f"{title}, against reading them", each_ns, read_s / FRAMES * 1e9, "ns", 0.5, "lower"),
+    ]
 
 
 def from_file(path: Path) -> np.ndarray:

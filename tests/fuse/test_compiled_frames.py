@@ -146,7 +146,7 @@ def test_a_constant_gain_of_whole_numbers_is_exact() -> None:
 
 
 @pytest.mark.parametrize("rows", [4, 5, 200])
-def test_a_compiled_spline_equals_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiled_spline_equals_scipy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(rows)
     known = np.cumsum(rng.integers(5_000_000, 15_000_000, rows))
     at = np.sort(rng.integers(known[0], known[-1] + 1, 300))
