@@ -11,7 +11,7 @@ segment is complete, its rows so far are averaged.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -333,8 +333,8 @@ class TemperatureSources:
     """
 
     elements: Mapping[str, ElementTemperature]
-    feeds: Mapping[str, Callable[[Block], None]]
-    delays_s: Mapping[str, float]
+    feeds: Mapping[str, Callable[[Block], None]] = field(default_factory=dict)
+    delays_s: Mapping[str, float] = field(default_factory=dict)
 
 
 def causal_temperatures(

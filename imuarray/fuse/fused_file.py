@@ -252,7 +252,7 @@ def events_in(file: h5py.File, place: str) -> tuple[FusedEvent, ...]:
         return ()
     try:
         rows = zip(*(_column(group[name]) for name in ("time", *_TEXTS)), strict=False)
-        return tuple(FusedEvent(int(time), *(_decoded(text) for text in texts)) for time, *texts in rows)
+        return tuple(FusedEvent(int(time), *(_text(text) for text in texts)) for time, *texts in rows)
     except DAMAGE:
         raise LogError(f"{place}: its events can't be read") from None
 
@@ -267,10 +267,6 @@ def _column(column: h5py.Dataset) -> list[Any]:
 def _shortened(text: str, length: int) -> bytes:
     """Return the first bytes of a text, without a partial character."""
     return text.encode()[:length].decode(errors="ignore").encode()
-
-
-def _decoded(text: object) -> str:
-    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
 _SLACK_BYTES = 1 << 18

@@ -296,12 +296,13 @@ def fuse(  # noqa: PLR0913
     if causal:
         temperatures = causal_temperatures(sensors_of_log, array.inertial, calibration, of_all=array.is_optimal)
     else:
-        of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
-        temperatures = TemperatureSources(of_all, {}, {})
+        temperatures = TemperatureSources(
+            element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
+        )
     if array.is_optimal and not causal:
         yield from _smoothed(log, array, temperatures, _Callbacks(notes, average, progress), block)
         return
-    stream = FusionStream(array.groups, calibration, array.factory(temperatures), temperatures, timeout_s=float("inf"))
+    stream = array.stream(array.factory(temperatures), temperatures)
     yield from _replay(log, stream, block, progress)
     notes(notes_of(stream.pipeline))
 
@@ -322,11 +323,8 @@ def fuse_together(
     inertial = [sensor for sensors in by_quantity.values() for sensor in sensors]
     calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
     array = _Array(by_quantity, calibration, AVERAGE, Watch(on=False))
-    temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration), {}, {})
-    axes = array.axes
-    stream = FusionStream(
-        array.groups, calibration, lambda period_s: TechniqueSet(axes, names), temperatures, timeout_s=float("inf")
-    )
+    temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration))
+    stream = array.stream(lambda period_s: TechniqueSet(array.axes, names), temperatures)
     return _replay(log, stream, BLOCK, progress)
 
 
@@ -357,11 +355,8 @@ def aligned(log: Log, calibration: Calibration, *, only: Collection[str] = ()) -
     sensor. FusionError.
     """
     array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
-    temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True), {}, {})
-    stream = FusionStream(
-        array.groups, calibration, lambda period_s: FramePipeline(), temperatures, timeout_s=float("inf")
-    )
-    return _replay(log, stream, BLOCK)
+    temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True))
+    return _replay(log, array.stream(lambda period_s: FramePipeline(), temperatures), BLOCK)
 
 
 def require_technique(technique: str) -> None:
@@ -393,6 +388,12 @@ class _Array(Generic[_Sensor]):
     def axes(self) -> dict[str, list[Axis]]:
         """Axes by quantity."""
         return {quantity: axes_of(sensors, self.calibration) for quantity, sensors in self.groups.items()}
+
+    def stream(
+        self, factory: Callable[[float], Pipeline[_Out]], temperatures: TemperatureSources
+    ) -> FusionStream[_Out]:
+        """Return the stream of a recorded log, in which no sensor times out."""
+        return FusionStream(self.groups, self.calibration, factory, temperatures, timeout_s=float("inf"))
 
     def model(self, temperatures: TemperatureSources) -> ErrorModel:
         """Return the model of the errors that remain after calibration."""
@@ -445,7 +446,7 @@ def _smoothed(
         return _ObservedPipeline(supervised[0], observe)
 
     def first_pass() -> Iterator[FrameBlock]:
-        stream = FusionStream(array.groups, array.calibration, factory, temperatures, timeout_s=float("inf"))
+        stream = array.stream(factory, temperatures)
         yield from _replay(log, stream, block, lambda frames_done: callbacks.progress(_FIRST_PASS * frames_done))
 
     def second_pass() -> Iterator[FrameBlock]:

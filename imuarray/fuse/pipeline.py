@@ -89,16 +89,8 @@ sufficient.
 """
 
 
-@runtime_checkable
-class ByQuantity(Protocol):
-    """A pipeline that only applies a technique to each quantity; a stream may compute the same faster."""
-
-    axes: Mapping[str, Sequence[Axis]]
-    techniques: Mapping[str, Technique]
-
-
 class QuantityPipeline:
-    """A technique applied to each quantity separately."""
+    """A technique applied to each quantity separately, and nothing else: a stream may compute the same faster."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
         """FusionError if the technique does not exist, or if the axes are not sufficient for it."""

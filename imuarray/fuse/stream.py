@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -41,9 +41,9 @@ from imuarray.fuse.alignment import (
     choose_grid,
 )
 from imuarray.fuse.element_temperature import TemperatureSources
-from imuarray.fuse.frames import Estimate, Frames
-from imuarray.fuse.least_squares import ConstantGain, consensus, frame_gains
-from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
+from imuarray.fuse.frames import Axis, Estimate, Frames
+from imuarray.fuse.least_squares import ConstantGain, FixedWeights, consensus, frame_gains
+from imuarray.fuse.pipeline import Pipeline, QuantityPipeline, fused_block
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
@@ -123,21 +123,10 @@ def _clipped(frames: Frames) -> Booleans:
 Counts = npt.NDArray[Any]
 
 
-@runtime_checkable
-class FixedGain(Protocol):
-    """A technique with the same gain in every frame whose axes are all valid."""
-
-    def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
-        """Return the gain (3, m) from values to a triad, and the function from the triads (n, 3) of frames, all axes
-        valid, to their estimate.
-        """
-        ...
-
-
 class DirectCombination:
-    """Fusion of one quantity by a technique with a fixed gain."""
+    """Fusion of one quantity by a technique with fixed weights."""
 
-    def __init__(self, technique: FixedGain, units: Sequence[AlignedSensor]) -> None:
+    def __init__(self, technique: FixedWeights, units: Sequence[AlignedSensor]) -> None:
         gain, self._estimate = technique.whole()
         bias = np.concatenate([unit.known.bias_lsb for unit in units])
         scale = np.concatenate([unit.known.lsb_per_si for unit in units])
@@ -155,7 +144,7 @@ def direct_combinations(
     result = {
         quantity: DirectCombination(technique, units[quantity])
         for quantity, technique in techniques.items()
-        if isinstance(technique, FixedGain) and all(_is_plain(unit) for unit in units[quantity])
+        if isinstance(technique, FixedWeights) and all(_is_plain(unit) for unit in units[quantity])
     }
     return result if len(result) == len(techniques) else {}
 
@@ -242,6 +231,7 @@ class FusionStream(Generic[Out]):
         self._factory = factory
         self._pipeline: Pipeline[Out] | None = None
         self._direct: Mapping[str, DirectCombination] = {}
+        self._axes: Mapping[str, Sequence[Axis]] = {}
         self._timeout_ns = timeout_s * 1e9
         self._on_remark = on_remark
         self._silent: set[str] = set()
@@ -306,7 +296,8 @@ class FusionStream(Generic[Out]):
             self._grid = self._choose_grid(known_ns)
             if self._grid is None:
                 return
-            self._pipeline = self._with_direct_combination(self._factory(self._grid.period_ns * 1e-9))
+            self._pipeline = self._factory(self._grid.period_ns * 1e-9)
+            self._prepare_direct_combination(self._pipeline)
         final = known_ns == FOREVER_NS
         self._extend(self._grid, known_ns)
         ready = len(self._times) if final else len(self._times) - MARGIN
@@ -357,16 +348,15 @@ class FusionStream(Generic[Out]):
         certain_ns = known_ns if known_ns == FOREVER_NS else known_ns - grid.ahead_ns
         self._times = np.concatenate([self._times, times[(times > after_ns) & (times <= certain_ns)]])
 
-    def _with_direct_combination(self, pipeline: Pipeline[Out]) -> Pipeline[Out]:
-        """Set up direct combination for the pipeline if possible, and return the pipeline."""
-        if isinstance(pipeline, ByQuantity):
+    def _prepare_direct_combination(self, pipeline: object) -> None:
+        """Set up direct combination for the pipeline if possible."""
+        if isinstance(pipeline, QuantityPipeline):
             units = {quantity: [self._units[k] for k in group.numbers] for quantity, group in self._groups.items()}
-            self._direct = direct_combinations(pipeline.techniques, units)
-        return pipeline
+            self._direct, self._axes = direct_combinations(pipeline.techniques, units), pipeline.axes
 
     def _fuse(self, pipeline: Pipeline[Out], grid: FrameGrid, frames: slice) -> Iterator[Out]:
         """Fuse some of the frames, by direct combination if possible."""
-        if self._direct and isinstance(pipeline, ByQuantity):
+        if self._direct:
             time, blocks = self._times[frames], [self._rows[name].block for name in self._names]
             counts = plain_counts(blocks, time)
             if counts is not None:
@@ -375,7 +365,7 @@ class FusionStream(Generic[Out]):
                     for quantity, group in self._groups.items()
                 }
                 self._combined += len(time)
-                yield cast(Out, fused_block(time, result, pipeline.axes))  # the result of `QuantityPipeline`
+                yield cast(Out, fused_block(time, result, self._axes))  # the result of `QuantityPipeline`
                 return
         yield from pipeline(*self._align(grid, frames))
 

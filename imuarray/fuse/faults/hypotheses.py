@@ -483,7 +483,9 @@ def separate_rivals(
     tests: tuple[Callable[[int], bool], ...] = (
         lambda sensor: views[sensor].stale or views[sensor].quiet < QUIET,
         lambda sensor: resets(views[sensor], sensor) is not None,
-        lambda sensor: _is_noisy_alone(views[sensor].quiet, [views[other].quiet for other in views if other != sensor]),
+        lambda sensor: (
+            views[sensor].quiet > _WILD and max(views[other].quiet for other in views if other != sensor) < _CALM
+        ),
     )
     for test in tests:
         result = [sensor for sensor in views if test(sensor)]
@@ -491,8 +493,3 @@ def separate_rivals(
             axes = tuple(range(3 * result[0], 3 * result[0] + 3))
             return replace(suspect, axes=axes, rivals=())
     return None
-
-
-def _is_noisy_alone(own: float, others: list[float]) -> bool:
-    """Return whether a sensor is noisy while the others are calm."""
-    return own > _WILD and max(others) < _CALM

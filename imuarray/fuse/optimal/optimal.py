@@ -55,24 +55,22 @@ _JITTER = 0.25
 """Largest relative deviation of the time between neighbouring frames, for which that variance is about right."""
 
 
-def has_positions(axes: Sequence[Axis]) -> bool:
-    """Return whether any sensor has a position other than the origin."""
-    return any(any(axis.position_m) for axis in axes)
-
-
-def with_lever(geometry: Geometry, axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> Geometry:
-    """Return the geometry with angular acceleration as unknowns 3 to 5; `rate_covariance` (3, 3) is that of a frame's
-    angular rate by noise alone.
+def with_lever(
+    geometry: Geometry, axes: Sequence[Axis], rate_covariance: Floats, period_s: float
+) -> tuple[Geometry, Lever]:
+    """Return the geometry with angular acceleration as unknowns 3 to 5, and the lever for it; `rate_covariance` (3, 3)
+    is that of a frame's angular rate by noise alone.
     """
     places = np.array([axis.position_m for axis in axes])
-    whitening = _whitening(rate_covariance, period_s)
+    # the slopes of the angular rate, scaled to unit variance
+    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(_PARABOLA * rate_covariance / period_s**2)))
     rows = np.zeros((len(axes) + ROWS, 6))
     rows[: len(axes), :3] = geometry.rows
     rows[: len(axes), 3:] = np.cross(places, geometry.rows)
     rows[len(axes) : -3, 3:] = whitening
     rows[-3:, 3:] = np.eye(3) / FASTEST
     ones, never = np.ones(ROWS), np.full(ROWS, np.inf)
-    return Geometry(
+    extended = Geometry(
         rows,
         np.concatenate([geometry.noise, ones]),
         np.concatenate([geometry.noise_of_means, ones]),
@@ -80,6 +78,7 @@ def with_lever(geometry: Geometry, axes: Sequence[Axis], rate_covariance: Floats
         np.concatenate([geometry.timing, np.zeros(ROWS)]),
         len(axes),
     )
+    return extended, Lever(axes, whitening, period_s)
 
 
 @dataclass
@@ -139,16 +138,6 @@ class Lever:
         slopes = np.diff(rate, axis=0) / steps_s[:, None]
         share = steps_s[1:] / (steps_s[1:] + steps_s[:-1])
         return np.asarray(slopes[1:] + share[:, None] * np.diff(slopes, axis=0))
-
-
-def lever_of(axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> Lever:
-    """Return the lever for the geometry of `with_lever`."""
-    return Lever(axes, _whitening(rate_covariance, period_s), period_s)
-
-
-def _whitening(rate_covariance: Floats, period_s: float) -> Floats:
-    """Return the matrix (3, 3) that scales the slopes of the angular rate to unit variance."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(_PARABOLA * rate_covariance / period_s**2)))
 
 
 def learned_biases(axes: Sequence[Axis], estimator: ArrayFilter) -> list[LearnedBias]:
@@ -267,10 +256,9 @@ class Optimal:
         groups: dict[str, _Group] = {}
         for quantity, axes in self._axes.items():
             geometry, lever = geometry_of(axes, self._model), None
-            if quantity == _FORCE and _RATE in groups and has_positions(axes) and groups[_RATE].spans():
-                rate_covariance = groups[_RATE].noise_covariance()
-                lever = lever_of(axes, rate_covariance, self._period_s)
-                geometry = with_lever(geometry, axes, rate_covariance, self._period_s)
+            has_positions = any(any(axis.position_m) for axis in axes)
+            if quantity == _FORCE and _RATE in groups and has_positions and groups[_RATE].spans():
+                geometry, lever = with_lever(geometry, axes, groups[_RATE].noise_covariance(), self._period_s)
             groups[quantity] = _Group(
                 axes, self._model, geometry, lever, _Timing(self._segment_frames, self._period_s), recording
             )

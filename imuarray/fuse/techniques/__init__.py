@@ -17,7 +17,7 @@ from imuarray.fuse.techniques import planes as _planes
 from imuarray.fuse.techniques import ranges as _ranges
 
 TECHNIQUES: Mapping[str, Maker] = MappingProxyType(
-    {"mean": mean, "opposed": _opposed.opposed, "planes": _planes.planes, "ranges": _ranges.ranges}
+    {"mean": mean, "opposed": _opposed.opposed, "planes": _planes.PlaneBlend, "ranges": _ranges.RangeBlend}
 )
 
 NEEDS_NOISE = frozenset({"planes", "ranges"})

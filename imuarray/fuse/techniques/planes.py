@@ -20,7 +20,6 @@ from imuarray.fuse.least_squares import (
     WORTH_WEIGHING,
     FixedWeights,
     SlowErrors,
-    Technique,
     known_noise_of,
     solve_frames,
 )
@@ -65,13 +64,10 @@ class Monitor:
         return f"{self.label} differs from the {kind} axes by {size}"
 
 
-def planes(axes: Sequence[Axis]) -> Technique:
-    """Return a `PlaneBlend`: weights of in-plane and out-of-plane axes by noise and stability (paper, section 2.2)."""
-    return PlaneBlend(axes)
-
-
 class PlaneBlend:
-    """Weights by `plane_weights`; axes with a weight below 1 are compared with the result of the others."""
+    """Weights of in-plane and out-of-plane axes by noise and stability (paper, section 2.2), `plane_weights`; axes with
+    a weight below 1 are compared with the result of the others.
+    """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         """FusionError if the noise of an axis is not known."""

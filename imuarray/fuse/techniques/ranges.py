@@ -45,7 +45,6 @@ from imuarray.fuse.least_squares import (
     AxisNoise,
     FixedWeights,
     SlowErrors,
-    Technique,
     frame_gains,
     known_noise_of,
     solve_frames,
@@ -531,15 +530,10 @@ FOLLOWED_PERIODS = 3
 """
 
 
-def ranges(axes: Sequence[Axis]) -> Technique:
-    """Return a `RangeBlend`: low and high measuring ranges blended by inverse variance (paper, section 2.3; there of
-    one design, here also of designs with one range each).
-    """
-    return RangeBlend(axes)
-
-
 class RangeBlend:
-    """Weights by `range_weights`; a low range fades out before its end and returns when it has settled (`Fading`).
+    """Low and high measuring ranges blended by inverse variance (paper, section 2.3; there of one design, here also of
+    designs with one range each), `range_weights`; a low range fades out before its end and returns when it has settled
+    (`Fading`).
 
     The differences between the axes (`Tracker`) are removed from each of them. Which axis is right is unknown, so the
     level of the whole blend is kept, and while the low range is out the others are corrected to that level. The
