@@ -20,6 +20,7 @@ from imuarray.characterise.plots.frame import (
     label,
     new_figure,
     plain,
+    replace_all_scales,
     set_height,
 )
 from imuarray.printable import percent
@@ -74,6 +75,7 @@ def histogram_figure(result: Table) -> Figure:
             panel.set_title(plain(f"{label(sensor)}, {axis['axis']}"), loc="left", y=1.0, fontsize=8)
     how_to_read(figure, _READING)
     arrange(figure, grid, _BARS)
+    replace_all_scales(grid)
     return figure
 
 

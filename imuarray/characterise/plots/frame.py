@@ -133,6 +133,7 @@ def panel_figure(
         panel.spines[["top", "right"]].set_visible(False)
     how_to_read(figure, captions.reading)
     arrange(figure, panels, _CURVES)
+    replace_all_scales(panels)
     return figure
 
 
@@ -191,6 +192,14 @@ def arrange(figure: Figure, panels: npt.NDArray[np.object_], margins: Margins) -
         panel.set_position((start / width, 1 - (top + each_height) / height, each_width / width, each_height / height))
         panel.yaxis.set_label_coords(-_LABEL_IN[0] / each_width, 0.5)
         panel.xaxis.set_label_coords(0.5, -_LABEL_IN[1] / each_height)
+
+
+def replace_all_scales(panels: npt.NDArray[np.object_]) -> None:
+    """Let the scales of arranged panels be drawn with few artists."""
+    from imuarray.characterise.plots.scale import replace_scales
+
+    for panel in panels.ravel():
+        replace_scales(panel)
 
 
 def set_height(figure: Figure, height: float, rows: int) -> None:
