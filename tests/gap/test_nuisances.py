@@ -22,7 +22,9 @@ from imuarray.gap.recording.recordings import CHIP_LEAD_S, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase
+from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.bias import CommonMode
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.motion.faces import Still
@@ -141,6 +143,19 @@ def test_a_strong_line_of_several_sensors_is_of_the_surroundings() -> None:
     (amplitude,) = vibrating(rate, "G1", "G2")
     assert amplitude * 9.80665 == pytest.approx(np.radians(rate), rel=0.15)
     assert vibrating(rate, "G1") == ()
+
+
+@pytest.mark.parametrize(
+    ("effect", "count"), [(CommonMode((1.0, 1.0, 1.0), 1.0), 0), (Tone((0.06, 0.06, 0.0), 0.3, phase_deg=30.0), 1)]
+)
+def test_a_common_wander_of_gyroscopes_is_no_line(effect: Effect, count: int) -> None:
+    """A wander with a corner at 0.16 Hz is highest in the lowest bins, as a line at 0.3 Hz is, but broad."""
+    motion = Still(seconds=100)
+    sources = simulated_sources(simulation(motion, dict.fromkeys(("G1", "G2"), (effect,)), seed=5))
+    campaign = Campaign((summarise_log("static", sources, phases_of(motion), reference_of(motion)),))
+    headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
+    lines = [line for line in fit_ambient_lines(campaign, headers) if {"G1", "G2"} & set(line.sensors)]
+    assert len(lines) == count
 
 
 @pytest.mark.slow

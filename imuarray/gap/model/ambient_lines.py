@@ -4,6 +4,7 @@ A line in a sensor's spectrum is a nuisance quantity if another sensor of the sa
 same amplitude along the axes of the box. A faint line of an accelerometer is also a nuisance quantity unless another
 sensor contradicts it, which means that its noise and rate would show the line but do not. A line that another sensor
 contradicts, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an effect.
+Neither is the broad maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a spectrum.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.statistics.campaign import Campaign
-from imuarray.gap.statistics.lines import HALF_WIDTH, Line, highest_lines, pool_spectra
+from imuarray.gap.statistics.lines import HALF_WIDTH, Line, floor_of, highest_lines, pool_spectra
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.noise import Tone
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -45,6 +46,14 @@ expected by at least this number of standard deviations.
 
 _CONFIRMED = 2.0
 """Largest ratio of powers at which another sensor confirms a line: chips differ in bandwidth and scale."""
+
+_LOWEST = 6
+"""Number of the lowest bins, in which the width of a line does not show on its lower side."""
+
+_BROAD = 0.12
+"""Share of the excess at the peak that the excess beyond the width of a line may have at the lowest frequencies. That
+of a line is 0, of a first-order wander 0.14 to 0.45.
+"""
 
 _SAME_RATE = 0.01
 """Relative difference of row rates below which bins of spectra have the same frequency."""
@@ -131,6 +140,9 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
     for member, line in sorted(lines, key=lambda item: -float(item[1].height.max())):
         if any(abs(line.bin - place) <= HALF_WIDTH + 1 for place in known):
             continue
+        if _is_wander(member.spectrum, line):
+            known += range(_LOWEST)
+            continue
         known.append(line.bin)
         amplitude_box = _amplitude_box(member, line)
         others = [other for other in group if other is not member]
@@ -142,6 +154,16 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
             x, y, z = amplitude_box.tolist()
             hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
             yield AmbientLine(hertz, (x, y, z), tuple(item.header.name for item in group))
+
+
+def _is_wander(spectrum: Spectrum, line: Line) -> bool:
+    """Return whether a line among the lowest bins, where only the higher frequencies show its width, is broad."""
+    peak, width = round(line.bin), HALF_WIDTH + 1
+    if peak >= _LOWEST or len(spectrum.density) < peak + 2 * width:
+        return False
+    excess = spectrum.density - floor_of(spectrum.density)
+    beyond = excess[peak + width : peak + 2 * width].mean(axis=0)
+    return bool(beyond @ excess[peak] > _BROAD * excess[peak] @ excess[peak])
 
 
 def _amplitude_box(member: _Spectrum, line: Line) -> Floats:

@@ -36,13 +36,18 @@ class Line(NamedTuple):
     height: Floats
 
 
+def floor_of(density: Floats) -> Floats:
+    """Return the floor (f, 3) of a density (f, 3): the median of the neighbouring bins."""
+    floor = median_filter(density, size=(min(_BESIDE, len(density)), 1), mode="mirror")
+    return np.asarray(np.maximum(floor, 1e-12 * density.max()))
+
+
 def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -> Iterator[Line]:
     """Yield at most `count` lines, the highest first, except near `known` bins; none if all codes are equal."""
     density = spectrum.density
     if not density.max() > 0:
         return
-    floor = median_filter(density, size=(min(_BESIDE, len(density)), 1), mode="mirror")
-    floor = np.maximum(floor, 1e-12 * density.max())
+    floor = floor_of(density)
     height = (np.cbrt(density / floor) - 1) / np.sqrt(2 / (9 * spectrum.freedom))[:, None]
     highest = height.max(axis=1)
     highest[:_FIRST] = 0
