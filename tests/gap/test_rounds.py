@@ -27,7 +27,7 @@ from imuarray.gap.inference.forward_selection import (
 from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, search_causes
 from imuarray.gap.inference.unit_state import Unit, UnitState
-from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk
+from imuarray.simulate.effects.bias import Bias, BiasInstability, CommonMode, PopcornNoise, RandomWalk
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from tests.gap.search_inputs import found_in
 from tests.gap.small_bench import LINE, SHORT, Run, prepared
@@ -219,6 +219,27 @@ def test_trials_are_pursued_if_they_gain_anywhere() -> None:
     assert not gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -3.0, 1: 1.0})])
     assert gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0})]) == [line]
     assert gaining_of([FittedHypothesis(line, {}, 0.5), FittedHypothesis(WANDER, {}, -1.0)]) == [line]
+
+
+@pytest.mark.parametrize(("by_log", "divided"), [({0: -9.0, 1: -9.0, 2: 8.0}, [2]), ({0: -9.0, 1: 8.0, 2: -9.0}, None)])
+def test_a_bias_that_comes_and_goes_is_not_divided(
+    by_log: dict[int, float], divided: list[int] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A level of one log, and not of the next, is that of a state after power-on. A line may come and go."""
+    seen: list[Hypothesis] = []
+
+    def run(job: Callable[..., object], items: Sequence[tuple[object, Sequence[Hypothesis]]]) -> list[object]:
+        seen.extend(trial for _, some_trials in items for trial in some_trials)
+        return [[FittedHypothesis(trial, {}, -7.0, by_log=by_log) for trial in trials] for _, trials in items]
+
+    trials = [Hypothesis((Bias(0.3),), ("offset",)), Hypothesis((LINE,), ("amplitude",))]
+    state = cast(UnitState, SimpleNamespace())
+    with monkeypatch.context() as patch:
+        patch.setattr(forward_selection, "_round", lambda *_: None)
+        search_round({("G1",): state}, {("G1",): trials}, {}, run)
+    logs = {trial.name: [span.log for span in trial.when.spans] for trial in seen if trial.when.spans}
+    assert logs.get("tone") == [log for log, gain in by_log.items() if gain > 0]
+    assert logs.get("bias") == divided
 
 
 COMMON = Hypothesis((CommonMode((0.1, 0.0, 0.1), 9.0),), ("rms",), shared=True)

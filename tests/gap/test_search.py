@@ -36,7 +36,7 @@ from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bias import Bias, BiasInstability, PopcornNoise
 from imuarray.simulate.effects.conversion import Saturation
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import Stuck
@@ -445,6 +445,17 @@ def test_the_best_trial_has_a_rival_of_another_form() -> None:
         for effect, gain in ((ClockError(500.0), 36.0), (Skew(0.015), 12.0), (WhiteNoise(1.0), 11.0))
     )
     assert likeliest([noise, delay, clock], 4) == [clock, delay]
+
+
+def test_a_third_trial_of_an_effect_does_not_displace_other_effects() -> None:
+    """Wanders of three forms, of which two remain beside a step and a jump, and three beside a step alone."""
+    forms = ({"rms": 1.0}, {"rms": 1.0, "time_constant_s": 3.0}, {"rms": 1.0, "fastest_time_constant_s": 1.0})
+    wanders = [FittedHypothesis(Hypothesis((BiasInstability(**form),)), {}, 9.0 - at) for at, form in enumerate(forms)]
+    step, jumps = (
+        FittedHypothesis(Hypothesis((effect,)), {}, gain) for effect, gain in ((Bias(1.0), 6.0), (PopcornNoise(), 5.0))
+    )
+    assert likeliest([*wanders, step, jumps], 4) == [*wanders[:2], step, jumps]
+    assert likeliest([*wanders, step], 4) == [*wanders, step]
 
 
 def test_trials_of_both_parts_are_not_displaced_by_those_of_one() -> None:

@@ -43,11 +43,14 @@ from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, independent_share
-from imuarray.simulate.effects.bias import PopcornNoise
+from imuarray.simulate.effects.bias import Bias, PopcornNoise
 from imuarray.simulate.effects.noise import Tone
 
 REFINED, CONFIRMED = 4, 3
 """Largest number of trials of a unit that are refined, and that are confirmed, in a round."""
+
+_OF_FORM, _OF_EFFECT = 2, 2
+"""Largest number of trials of one form that are refined or confirmed; and of one effect, while there are others."""
 
 WORTH = 2.0
 """Gain in nats on the training part from which on a trial is pursued."""
@@ -208,7 +211,8 @@ def _needs_placebo(standing: UnitState, evaluations: Sequence[Evaluation]) -> bo
 
 
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
-    """Return the best trials that gain enough and are not far behind, at most two of each form.
+    """Return the best trials that gain enough and are not far behind, at most two of each form; a third of one effect,
+    such as a slow wander in other logs, only if no other effect needs its place.
 
     The best trial of another form than the first one's is always included, because a guess of a wrong form may fit the
     training part best.
@@ -229,12 +233,15 @@ def _likeliest(trials: Sequence[FittedHypothesis], count: int) -> list[FittedHyp
     ranked = [trial for trial in ranked if trial.gain * trial.counts > WORTH]
     least = ranked[0].gain - max(_MOST_BEHIND, ranked[0].gain / 2) if ranked else 0.0
     likely: list[FittedHypothesis] = []
-    for trial in ranked:
-        same_form = sum(other.trial.form == trial.trial.form for other in likely)
-        is_rival = not same_form and all(other.trial.form == ranked[0].trial.form for other in likely)
-        if (trial.gain > least or is_rival) and same_form < 2 and len(likely) < count:
-            likely.append(trial)
-    return likely
+    for most_of_effect in (_OF_EFFECT, count):
+        for trial in ranked:
+            same_form = sum(other.trial.form == trial.trial.form for other in likely)
+            of_effect = sum(other.trial.name == trial.trial.name for other in likely)
+            is_rival = not same_form and all(other.trial.form == ranked[0].trial.form for other in likely)
+            is_good = (trial.gain > least or is_rival) and same_form < _OF_FORM and of_effect < most_of_effect
+            if is_good and len(likely) < count and not any(trial is other for other in likely):
+                likely.append(trial)
+    return sorted(likely, key=lambda trial: -trial.gain)
 
 
 def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> list[StatisticValues]:
@@ -435,9 +442,11 @@ def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis
 
 def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
     """Yield each trial in the logs that it explains; in a spell, if a spell of the same effect explains the log
-    better.
+    better. A bias that a later log lacks is not divided: it is that of a state after power-on.
     """
     for look in looks:
+        if look.trial.name == Bias.name and _returns(look.by_log):
+            continue
         best = {log: (gain, in_logs([log])) for log, gain in look.by_log.items() if gain > EACH_NUMBER}
         for spell in spells:
             log = spell.trial.when.spans[0].log
@@ -447,6 +456,12 @@ def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHy
         when = join_spans(part for _, part in best.values())
         if when.spans and {span.log for span in when.spans if span.is_whole} != set(look.by_log):
             yield look.trial.at(when)
+
+
+def _returns(gain_of_log: Mapping[int, float]) -> bool:
+    """Return whether a log after one that gains loses by the same change."""
+    gaining = [log for log, gain in gain_of_log.items() if gain > EACH_NUMBER]
+    return bool(gaining) and any(gain < -EACH_NUMBER for log, gain in gain_of_log.items() if log > min(gaining))
 
 
 def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
