@@ -81,37 +81,20 @@ def products(columns: Floats, gaps_s: Floats, noise: CorrelatedNoise) -> tuple[F
     return np.asarray(steps.T @ solved), float(np.log(diagonal).sum())
 
 
-@dataclass(frozen=True)
-class Regression:
-    """Least squares under one noise or many (leading dimensions): coefficients (..., p), their covariance (..., p, p),
-    the logarithms of the profile likelihood and of the restricted likelihood, and the variance.
+def regress(sums: Floats, log_determinant: Floats, rows: int) -> tuple[Floats, Floats]:
+    """Solve least squares from `products` (g, 1 + p, 1 + p) of a series (first) and its p regressors, over `rows`,
+    under g noises. Return the covariances (g, p, p) of the coefficients, and the logarithms (g,) of the restricted
+    likelihood.
     """
-
-    coefficients: Floats
-    covariance: Floats
-    likelihood: Floats
-    restricted: Floats
-    variance: Floats
-
-
-def regress(sums: Floats, log_determinant: Floats, rows: int) -> Regression:
-    """Solve least squares from `products` (..., 1 + p, 1 + p) of a series (first) and its p regressors, over `rows`."""
     cross = sums[..., 1:, 0]
     inner = sums[..., 1:, 1:] * (1 + _RIDGE * np.eye(sums.shape[-1] - 1))
     inverse = np.linalg.inv(inner)
-    coefficients = np.einsum("...ij,...j->...i", inverse, cross)
     freedom = rows - inner.shape[-1]
-    remaining = sums[..., 0, 0] - np.einsum("...i,...i->...", coefficients, cross)
+    remaining = sums[..., 0, 0] - np.einsum("...i,...ij,...j->...", cross, inverse, cross)
     # The residual of a series that is exactly a combination of its regressors is zero.
     remaining = np.maximum(remaining, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300))
-    variance = remaining / freedom
-    return Regression(
-        coefficients,
-        variance[..., None, None] * inverse,
-        -(log_determinant + rows * np.log(remaining)) / 2,
-        -(log_determinant + np.linalg.slogdet(inner)[1] + freedom * np.log(remaining)) / 2,
-        variance,
-    )
+    likelihood = -(log_determinant + np.linalg.slogdet(inner)[1] + freedom * np.log(remaining)) / 2
+    return (remaining / freedom)[..., None, None] * inverse, likelihood
 
 
 def weights(log_likelihood: Floats, axis: int | tuple[int, ...] = -1) -> Floats:
@@ -165,11 +148,11 @@ def mean_of_series(values: Floats, gaps_s: Floats, starts: npt.NDArray[np.int64]
     centred = values - np.repeat(np.add.reduceat(values, starts) / lengths, lengths)
     columns = np.column_stack([centred, member])
 
-    def fit(noises: Sequence[CorrelatedNoise]) -> Regression:
+    def fit(noises: Sequence[CorrelatedNoise]) -> tuple[Floats, Floats]:
         sums = [products(columns, gaps_s, noise) for noise in noises]
         return regress(np.array([total for total, _ in sums]), np.array([total for _, total in sums]), len(values))
 
-    noises = likely_noises(lambda grid: fit(grid).restricted, step / 2, 2 * step * float(lengths.max()))
-    fitted = fit(noises)
-    variances = np.diagonal(fitted.covariance, axis1=-2, axis2=-1).mean(axis=1)
-    return MeanVariance(variances, weights(fitted.restricted), len(values) - len(starts))
+    noises = likely_noises(lambda grid: fit(grid)[1], step / 2, 2 * step * float(lengths.max()))
+    covariances, likelihood = fit(noises)
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1).mean(axis=1)
+    return MeanVariance(variances, weights(likelihood), len(values) - len(starts))

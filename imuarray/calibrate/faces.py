@@ -212,29 +212,23 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
     return used[int(order[0])], words
 
 
-def fit_faces(sensor: SensorLog, poses: Sequence[Pose]) -> tuple[SensorCalibration, Floats]:
-    """Calibrate one inertial triad from named faces. Returns also the drift (3,) in counts: the first reading of a face
-    less the repeated one.
+def fit_faces(sensor: SensorLog, poses: Sequence[Pose]) -> tuple[SensorCalibration, TriadFit, Floats]:
+    """Calibrate one inertial triad from named faces. Returns also the straight lines through its readings, and the
+    drift (3,) in counts: the first reading of a face less the repeated one.
 
     CalibrationError if faces are missing, or if the axes differ from those in the log.
     """
     faces = [pose for pose in poses if not pose.is_check]
     _refuse_too_few(sensor, faces, ())
-    fit = face_fit(sensor, faces)
+    readings = read_poses([sensor], faces)
+    design = np.column_stack([np.array([pose.up_box for pose in faces], float), np.ones(len(faces))])
+    fit, _ = straight_lines(readings.mean_lsb[0], readings.variance_lsb2[0], design)
     checks = [pose for pose in poses if pose.is_check]
     drift = face_drift(sensor, faces, checks)
     if sensor.quantity == "specific_force":
         _check_axes(sensor, fit.coefficients[:, :3])
-        return accelerometer_of(sensor, fit), drift
-    return gyroscope_of(sensor, fit, [*faces, *checks]), drift
-
-
-def face_fit(sensor: SensorLog, faces: Sequence[Pose]) -> TriadFit:
-    """Fit straight lines to the readings of one triad on `faces`."""
-    readings = read_poses([sensor], faces)
-    ups = np.array([pose.up_box for pose in faces], float)
-    design = np.column_stack([ups, np.ones(len(ups))])
-    return straight_lines(readings.mean_lsb[0], readings.variance_lsb2[0], design)[0]
+        return accelerometer_of(sensor, fit), fit, drift
+    return gyroscope_of(sensor, fit, [*faces, *checks]), fit, drift
 
 
 def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:

@@ -260,20 +260,26 @@ FACE_COSINE = 0.97
 """Cosine of the angle (14 degrees) within which a pose lies on a face: a table is level, and a box has right angles."""
 
 
-def insufficient_poses(sensor: SensorLog, means: Floats | None = None) -> str:
-    """Describe the parameters that the poses do not determine; `means` (k, 3) are their readings in g."""
-    if means is not None:
-        directions = means / np.linalg.norm(means, axis=1, keepdims=True)
-        face = np.argmax(np.abs(directions), axis=1)
-        component = np.take_along_axis(directions, face[:, None], axis=1)[:, 0]
-        if (np.abs(component) > FACE_COSINE).all() and len(
-            set(zip(face.tolist(), (component > 0).tolist(), strict=True))
-        ) == 6:
-            return (
-                f"{sensor.where}: all poses lie on the six faces, which leaves the angles between the axes open; add"
-                " poses on edges and corners, or name the faces (imuarray log --phase z_up, [[phase]] in an import's"
-                " map), so that each is known to point up"
-            )
+def faces_of(means_g: Floats) -> list[tuple[int, bool]]:
+    """Return for each pose (k, 3) the axis (0, 1, 2) along which gravity points, and whether it is positive; [] if a
+    pose is not on a face.
+    """
+    directions = means_g / np.linalg.norm(means_g, axis=1, keepdims=True)
+    axis = np.argmax(np.abs(directions), axis=1)
+    component = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
+    if (np.abs(component) < FACE_COSINE).any():
+        return []
+    return list(zip(axis.tolist(), (component > 0).tolist(), strict=True))
+
+
+def insufficient_poses(sensor: SensorLog, means_g: Floats | None = None) -> str:
+    """Describe the parameters that the poses do not determine; `means_g` (k, 3) are their readings."""
+    if means_g is not None and len(set(faces_of(means_g))) == 6:
+        return (
+            f"{sensor.where}: all poses lie on the six faces, which leaves the angles between the axes open; add"
+            " poses on edges and corners, or name the faces (imuarray log --phase z_up, [[phase]] in an import's"
+            " map), so that each is known to point up"
+        )
     return f"{sensor.where}: the poses do not separate bias from scale; add poses on other sides"
 
 

@@ -17,6 +17,7 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise, permutations, product
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -48,14 +49,15 @@ _LONGEST_S = 30.0
 @dataclass(frozen=True)
 class Pointing:
     """Orientation of one sensor: its `axes` as text ("" if the poses do not determine them, with the `reason`), and the
-    rms `residual` of its readings (in g, in radians, or relative to the field) with these axes and with the next best.
+    rms `residual` of its readings (in g, in radians, or relative to the field) with these axes and with the next best;
+    nan without residuals.
     """
 
     sensor: str
     chip: str
-    axes: str
-    residual: float
-    next_best: float
+    axes: str = ""
+    residual: float = nan
+    next_best: float = nan
     reason: str = ""
 
 
@@ -104,9 +106,7 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
         raise CalibrationError(
             f"{log.path}: poses with one box axis up do not determine the axes: hold the box in three orientations"
         )
-    results: dict[str, Pointing] = {}
-    for sensor in log.of("specific_force"):
-        results[sensor.name] = _accelerometer(sensor, poses, ups)
+    results = {sensor.name: _accelerometer(sensor, poses, ups) for sensor in log.of("specific_force")}
     unexplained = [pointing for pointing in results.values() if pointing.residual > _MOST]
     if unexplained and 2 * len(unexplained) > len(results):
         raise CalibrationError(
@@ -140,7 +140,7 @@ def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Poi
     """Determine the axes of an accelerometer by gravity; biases are too small to hide it."""
     mean_g = np.array([_mean(sensor, pose) for pose in poses])
     if not np.isfinite(mean_g).all():
-        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it has no readings in one of the poses")
+        return Pointing(sensor.name, sensor.chip, reason="it has no readings in one of the poses")
     residuals = np.sqrt(np.mean((mean_g - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
     return _best(sensor, residuals)
 
@@ -170,7 +170,7 @@ def _gyroscope(sensor: SensorLog, rotations: Sequence[Floats | None], ups: Float
     rotated = [(index, rotation) for index, rotation in enumerate(rotations) if rotation is not None]
     if not rotated:
         reason = "no turn from one pose to the next in one log, of less than 30 s"
-        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, reason)
+        return Pointing(sensor.name, sensor.chip, reason=reason)
     errors = [rotation @ (TURNS @ ups[i])[..., None] - (TURNS @ ups[i + 1])[..., None] for i, rotation in rotated]
     residuals = np.sqrt(np.mean([np.sum(error**2, axis=(1, 2)) for error in errors], axis=0))
     return _best(sensor, residuals)
@@ -200,12 +200,10 @@ def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], rotations: Sequence[
             runs[-1].append((index, np.asarray(rotation @ runs[-1][-1][1])))
     run = max(runs, key=len)
     if len(run) < 3:
-        return Pointing(
-            sensor.name, sensor.chip, "", np.nan, np.nan, "no gyroscope measured the turns between three poses"
-        )
+        return Pointing(sensor.name, sensor.chip, reason="no gyroscope measured the turns between three poses")
     means = np.concatenate([_mean(sensor, poses[index]) for index, _ in run])
     if not np.isfinite(means).all():
-        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it has no readings in one of the poses")
+        return Pointing(sensor.name, sensor.chip, reason="it has no readings in one of the poses")
     residuals = []
     for turn in TURNS:
         design = np.concatenate([np.hstack([turn @ attitude, np.eye(3)]) for _, attitude in run])
@@ -219,14 +217,12 @@ def _best(sensor: SensorLog, residuals: Floats) -> Pointing:
     """Return the orientation with the least residual, if it is clearly the least."""
     order = np.argsort(residuals)
     best, second = float(residuals[order[0]]), float(residuals[order[1]])
-    axes = axes_text(TURNS[order[0]])
+    axes, reason = axes_text(TURNS[order[0]]), ""
     if best > _MOST:
-        return Pointing(sensor.name, sensor.chip, "", best, second, "no orientation explains its readings")
-    if second < _CLEARLY * best or second - best < 1e-6:
-        return Pointing(
-            sensor.name, sensor.chip, "", best, second, f"{axes_text(TURNS[order[1]])} is as good as {axes}"
-        )
-    return Pointing(sensor.name, sensor.chip, axes, best, second)
+        reason = "no orientation explains its readings"
+    elif second < _CLEARLY * best or second - best < 1e-6:
+        reason = f"{axes_text(TURNS[order[1]])} is as good as {axes}"
+    return Pointing(sensor.name, sensor.chip, "" if reason else axes, best, second, reason)
 
 
 _LONGEST = 1 << 20

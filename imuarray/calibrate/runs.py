@@ -32,7 +32,6 @@ from imuarray.calibrate.pose_readings import sensor_in
 from imuarray.calibrate.segments import SegmentMeans, segment_means, thermometer_of
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
-from imuarray.log.format import Phase
 
 MIN_STATE_RUNS = 3
 """Fewest runs in a state; fewer runs that differ from the others are faults."""
@@ -310,13 +309,9 @@ def run_stretches(log: Log, place: int) -> list[tuple[str, int, int]]:
 def _runs_in(log: Log, sensor: SensorLog, place: int) -> list[tuple[int, slice, str]]:
     """Return (number, rows, up) of the runs of one log."""
     named = [(phase, _RUN.fullmatch(phase.name)) for phase in log.phases]
-    runs = [(int(match[1]), _rows(sensor, phase), phase.up) for phase, match in named if match]
+    runs = [(int(match[1]), sensor.between(phase.start_ns, phase.end_ns), phase.up) for phase, match in named if match]
     ups = {phase.up for phase in log.phases}
     return runs or [(place, slice(0, len(sensor)), ups.pop() if len(ups) == 1 else "")]
-
-
-def _rows(sensor: SensorLog, phase: Phase) -> slice:
-    return sensor.between(phase.start_ns, phase.end_ns)
 
 
 def _segments(sensor: SensorLog, rows: slice) -> SegmentMeans | None:

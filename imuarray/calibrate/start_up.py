@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,67 +51,36 @@ class StartUp:
         return f"{name} started in state {self.state + 1} of {states}{holds}"
 
 
-def state_of(
-    means: Mapping[str, npt.ArrayLike],
-    calibration: Calibration,
-    *,
-    errors: Mapping[str, npt.ArrayLike] = MappingProxyType({}),
-    ranges: Ranges = NO_RANGES,
-    limit: float = _LIMIT,
-    pose_g: float = _POSE_G,
-) -> dict[str, StartUp]:
-    """Return the start-up state of each sensor that has a `turn_on`, from its mean counts (3,) over some seconds at
-    rest and their standard errors (3,), which are 0 for sensors without.
-
-    Accelerometers must be in the pose of the calibration runs, within `pose_g`. A start more than `limit` spreads from
-    every state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
-    """
-    rests = {
-        name: _RestMean(np.asarray(mean, float), np.asarray(errors.get(name, 0.0), float))
-        for name, mean in means.items()
-    }
-    return _states(rests, calibration, ranges, limit, pose_g)
-
-
-class _RestMean(NamedTuple):
+class RestMean(NamedTuple):
     """Mean counts (3,) at rest and their standard errors, (3,) or 0."""
 
     counts: Floats
     error: Floats
 
     @classmethod
-    def of(cls, counts: npt.NDArray[Any]) -> _RestMean:
+    def of(cls, counts: npt.NDArray[Any]) -> RestMean:
         """Return the mean of counts (n, 3), n > 0. Its error is that of white noise and rounding."""
         readings = np.asarray(counts, float)
         return cls(readings.mean(axis=0), np.sqrt((readings.var(axis=0) + _ROUNDING) / len(readings)))
 
 
-def _states(
-    rests: Mapping[str, _RestMean],
-    calibration: Calibration,
-    ranges: Ranges,
-    limit: float = _LIMIT,
-    pose_g: float = _POSE_G,
-) -> dict[str, StartUp]:
-    """Return the start-up states by the means at rest, as `state_of` does."""
+def states_of(rests: Mapping[str, RestMean], calibration: Calibration, ranges: Ranges) -> dict[str, StartUp]:
+    """Return the start-up state of each sensor that has a `turn_on`, from its mean over some seconds at rest.
+
+    Accelerometers must be in the pose of the calibration runs, within `_POSE_G`. A start more than `_LIMIT` spreads
+    from every state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
+    """
     return {
-        name: _start_up(rests[name], sensor, sensor.turn_on, ranges.get(name, {}), limit, pose_g)
+        name: _start_up(rests[name], sensor, sensor.turn_on, ranges.get(name, {}))
         for name, sensor in calibration.sensors.items()
         if name in rests and sensor.turn_on is not None and sensor.turn_on.states
     }
 
 
-def _start_up(
-    rest: _RestMean,
-    sensor: SensorCalibration,
-    turn_on: TurnOn,
-    ranges: Mapping[float, float],
-    limit: float,
-    pose_g: float,
-) -> StartUp:
+def _start_up(rest: RestMean, sensor: SensorCalibration, turn_on: TurnOn, ranges: Mapping[float, float]) -> StartUp:
     mean = rest.counts
     gravity = np.zeros(3) if turn_on.gravity_lsb is None else turn_on.gravity_lsb
-    tilt = pose_g * sensor.scale_lsb_per_unit if turn_on.gravity_lsb is not None else 0.0
+    tilt = _POSE_G * sensor.scale_lsb_per_unit if turn_on.gravity_lsb is not None else 0.0
     spread = np.maximum(np.sqrt(np.square(turn_on.spread_lsb) + tilt**2 + rest.error**2), 1e-9)
     usual = np.array([state.bias_lsb for state in turn_on.states]) + gravity
     distances = np.sqrt(np.mean(((mean - usual) / spread) ** 2, axis=1))
@@ -125,7 +93,7 @@ def _start_up(
         return StartUp(
             state, distance, True, f"{ratio:.2f} times the usual reading: started at {result:g} {sensor.unit}"
         )
-    far = not distance <= limit
+    far = not distance <= _LIMIT
     return StartUp(state, distance, far, f"{distance:.1f} spreads from every state" if far else "")
 
 
@@ -140,7 +108,7 @@ def start_up_states(
     in the calibration runs, and only wrong ranges of accelerometers are reported.
     """
     rests = _first_rests(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
-    result = without_other_pose(_states(rests, calibration, ranges), calibration)
+    result = without_other_pose(states_of(rests, calibration, ranges), calibration)
     return in_states(result, calibration), result
 
 
@@ -170,20 +138,20 @@ def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
     return np.asarray(sensor.bias_lsb + biases[state] - biases[nearest])
 
 
-def _first_rests(log: Log, names: Sequence[str]) -> dict[str, _RestMean]:
+def _first_rests(log: Log, names: Sequence[str]) -> dict[str, RestMean]:
     """Return the means over the first seconds at rest by sensor, for sensors with readings there."""
     still = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name.startswith(_STILL)]
     if names and not still:
         with suppress(CalibrationError):
             still = find_poses(log)
-    rests: dict[str, _RestMean] = {}
+    rests: dict[str, RestMean] = {}
     for name in names if still else ():
         if name in log.sensors:
             start_ns = still[0].phase.start_ns
             end_ns = min(still[0].phase.end_ns, start_ns + round(_SECONDS * 1e9))
             counts = log[name].counts[log[name].between(start_ns, end_ns)]
             if len(counts):
-                rests[name] = _RestMean.of(counts)
+                rests[name] = RestMean.of(counts)
     return rests
 
 
@@ -228,7 +196,7 @@ class StartStateDetector:
         """`ranges` are the sensitivities of each sensor's chip by range, by sensor (`ArrayConfig.sensitivities`)."""
         self.sentences: list[str] = []
         self._calibration, self._ranges, self._report = calibration, ranges, report
-        self._rests: dict[str, _RestMean] = {}
+        self._rests: dict[str, RestMean] = {}
         self._starts: dict[str, StartUp] = {}
 
     @property
@@ -246,8 +214,8 @@ class StartStateDetector:
         if calibrated and np.median([_restlessness(counts) for counts in calibrated.values()]) > _RESTLESS:
             self._say("the box was moved in the first seconds: the states of the sensors are not known")
             return {}
-        self._rests.update((name, _RestMean.of(counts)) for name, counts in readings.items())
-        states = _states(self._rests, self._calibration, self._ranges)
+        self._rests.update((name, RestMean.of(counts)) for name, counts in readings.items())
+        states = states_of(self._rests, self._calibration, self._ranges)
         possible = without_other_pose(states, self._calibration)
         starts = {name: start for name, start in possible.items() if name in readings}
         self._starts.update(starts)

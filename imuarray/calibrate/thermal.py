@@ -240,9 +240,9 @@ def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_d
         designs = [_Design(np.column_stack(columns)) for columns in regressors]
         axes = [_Axis(column, designs) for column in segments.mean.T]
         likelihood = np.sum([axis.likelihood for axis in axes], axis=0)
-        inside = lags_s[likelihood >= likelihood.max() - _INTERVAL_DROP]
-        interval_s = np.array([_next_shorter(lags_s, inside[0]), _next_longer(lags_s, inside[-1])])
-        if len(inside) >= _FEWEST_INSIDE or inside[0] == 0:
+        inside = np.flatnonzero(likelihood >= likelihood.max() - _INTERVAL_DROP)
+        interval_s = lags_s[[max(0, inside[0] - 1), min(len(lags_s) - 1, inside[-1] + 1)]]  # the next lags of the grid
+        if len(inside) >= _FEWEST_INSIDE or lags_s[inside[0]] == 0:
             break
         lags_s = np.geomspace(max(interval_s[0], shortest_s / 2), interval_s[1], _LAGS)
     share = weights(likelihood)
@@ -340,16 +340,6 @@ def _peak(lags_s: Floats, likelihood: Floats) -> float:
     before, top, after = likelihood[best - 1 : best + 2]
     step = np.log(lags_s[best + 1] / lags_s[best])
     return float(lags_s[best] * np.exp(step * (before - after) / (2 * (before - 2 * top + after))))
-
-
-def _next_shorter(lags_s: Floats, lag_s: float) -> float:
-    """Return the next shorter lag of the grid."""
-    return float(lags_s[max(0, int(np.searchsorted(lags_s, lag_s)) - 1)])
-
-
-def _next_longer(lags_s: Floats, lag_s: float) -> float:
-    """Return the next longer lag of the grid."""
-    return float(lags_s[min(len(lags_s) - 1, int(np.searchsorted(lags_s, lag_s)) + 1)])
 
 
 SEGMENT_S = 5.0

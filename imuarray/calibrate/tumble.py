@@ -40,13 +40,12 @@ from imuarray.calibrate.faces import (
     Faces,
     accelerometer_of,
     determine_response,
-    face_fit,
     fit_faces,
     leave_one_out_residual,
     select_faces,
 )
 from imuarray.calibrate.fits import DRIFTS, Outlier, TriadFit, misfit_probability, outlier_of, straight_lines
-from imuarray.calibrate.gravity import FACE_COSINE, MIN_POSES, GravityFit, fit_gravity, fit_weighted
+from imuarray.calibrate.gravity import MIN_POSES, GravityFit, faces_of, fit_gravity, fit_weighted
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, labelled_faces, read_poses
 from imuarray.calibrate.segments import TemperatureSeries, thermometer_of
@@ -70,18 +69,6 @@ populations.
 _FACES = 6
 _UPPER = np.triu_indices(3, 1)
 _STEP = 1e-6
-
-
-def faces_of(means_g: Floats) -> list[tuple[int, bool]]:
-    """Return for each pose (k, 3) the axis (0, 1, 2) along which gravity points, and whether it is positive; [] if a
-    pose is not on a face.
-    """
-    directions = means_g / np.linalg.norm(means_g, axis=1, keepdims=True)
-    axis = np.argmax(np.abs(directions), axis=1)
-    component = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
-    if (np.abs(component) < FACE_COSINE).any():
-        return []
-    return list(zip(axis.tolist(), (component > 0).tolist(), strict=True))
 
 
 def fit_six_faces(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> GravityFit:
@@ -454,7 +441,7 @@ class TumbleResult:
 @dataclass(frozen=True)
 class _Reference:
     """Gravity as measured by the accelerometers: their calibrations, fits and drifts by name; the length of the
-    calibrated specific force less one g in each pose of `names`, and the same with each pose calibrated from the others
+    calibrated specific force less one g in each fitted pose, and the same with each pose calibrated from the others
     (`held_out_g`); the upward directions (k, 3) in all `poses`, and their covariance (3 k, 3 k).
     """
 
@@ -465,10 +452,14 @@ class _Reference:
     known: dict[str, SensorCalibration]
     fits: dict[str, TriadFit]
     drift_lsb: dict[str, Floats]
-    names: tuple[str, ...]
     residual_g: dict[str, Floats]
     held_out_g: dict[str, Floats]
     left_out: tuple[Outlier, ...]
+
+    @property
+    def fitted(self) -> list[Pose]:
+        """The poses of the fit, without those that were read again."""
+        return [pose for pose in self.poses if not pose.is_check]
 
 
 def calibrate_tumble(
@@ -495,8 +486,11 @@ def calibrate_tumble(
     turns: dict[str, TurnFit] = {}
     calibrated = [(sensor, calibrations[sensor.name]) for sensor in accelerometers]
     for done, sensor in enumerate(() if reference.method == PATH else gyroscopes, start=1):
-        at_rest = _at_rest(sensor, reference, faces)
-        calibrations[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
+        calibrations[sensor.name], fits[sensor.name], drift[sensor.name] = (
+            fit_g_sensitivity(sensor, reference.poses, reference.up_box)
+            if faces is None
+            else fit_faces(sensor, [*faces.fitted, *faces.checks])
+        )
         fit = fit_turns(
             sensor, calibrations[sensor.name], reference.poses, reference.up_box, reference.up_covariance, calibrated
         )
@@ -514,7 +508,7 @@ def calibrate_tumble(
         {name: _rms(residual) for name, residual in reference.residual_g.items()},
         {name: _rms(residual) for name, residual in reference.held_out_g.items()},
         {name: _rms(residual) for name, residual in _steady_g(calibrated, reference).items()},
-        reference.names,
+        tuple(pose.label for pose in reference.fitted),
         reference.residual_g,
         fits,
         turns,
@@ -590,7 +584,6 @@ def _by_gravity(
         dict(zip(names, fit.calibrations, strict=True)),
         dict(zip(names, fit.fits, strict=True)),
         dict(zip(names, fit.drift_lsb, strict=True)),
-        tuple(pose.label for pose in fit.poses),
         dict(zip(names, fit.force_g - 1, strict=True)),
         dict(zip(names, fit.held_out_force_g - 1, strict=True)),
         fit.left_out,
@@ -601,15 +594,18 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
     """Calibrate the accelerometers by the paper's Appendix B. Directions are those of the calibrated accelerometers,
     because a table may lean.
     """
-    all_poses = sorted((*faces.fitted, *faces.checks), key=_place_and_time)
+    all_poses = sorted(
+        (*faces.fitted, *faces.checks),
+        key=lambda pose: ("" if pose.log is None else str(pose.log.path), pose.phase.start_ns),
+    )
     result = {sensor.name: fit_faces(sensor, all_poses) for sensor in accelerometers}
-    calibrations = {name: calibration for name, (calibration, _) in result.items()}
+    calibrations = {name: calibration for name, (calibration, _, _) in result.items()}
     readings = read_poses(accelerometers, all_poses)
     forces = np.array(
         [_force_g(calibrations[s.name], mean) for s, mean in zip(accelerometers, readings.mean_lsb, strict=True)]
     )
     up_box = forces.mean(axis=0)
-    fits = {sensor.name: face_fit(sensor, faces.fitted) for sensor in accelerometers}
+    fits = {name: fit for name, (_, fit, _) in result.items()}
     variances = [np.mean(fits[s.name].repeatability_lsb ** 2) / s.sensitivity**2 for s in accelerometers]
     noise = (readings.variance_lsb2 / readings.sensitivity[:, None, None] ** 2).mean(axis=(1, 2))
     fitted = [place for place, pose in enumerate(all_poses) if not pose.is_check]
@@ -620,27 +616,11 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
         float(np.mean(variances) + np.sum(noise) / len(noise) ** 2) * np.eye(up_box.size),
         calibrations,
         fits,
-        {name: drift for name, (_, drift) in result.items()},
-        tuple(all_poses[place].label for place in fitted),
+        {name: drift for name, (_, _, drift) in result.items()},
         {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
         {sensor.name: leave_one_out_residual(sensor, faces.fitted) for sensor in accelerometers},
         faces.left_out,
     )
-
-
-def _place_and_time(pose: Pose) -> tuple[str, int]:
-    """Sorting key of poses: by log, then by time."""
-    return "" if pose.log is None else str(pose.log.path), pose.phase.start_ns
-
-
-def _at_rest(
-    sensor: SensorLog, reference: _Reference, faces: Faces | None
-) -> tuple[SensorCalibration, TriadFit, Floats]:
-    """Calibrate a gyroscope from its readings at rest. Returns bias and g-sensitivity, the fit, and the drift."""
-    if faces is None:
-        return fit_g_sensitivity(sensor, reference.poses, reference.up_box)
-    calibration, drift = fit_faces(sensor, [*faces.fitted, *faces.checks])
-    return calibration, face_fit(sensor, faces.fitted), drift
 
 
 def _force_g(calibration: SensorCalibration, mean_lsb: Floats) -> Floats:
@@ -652,9 +632,9 @@ def _steady_g(
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], reference: _Reference
 ) -> dict[str, Floats]:
     """Return the length (k,) of the specific force less one g in the fitted poses with the mean bias, by sensor."""
-    poses = [pose for pose in reference.poses if not pose.is_check]
+    fitted = reference.fitted
     return {
-        sensor.name: np.linalg.norm(_force_g(calibration, read_poses([sensor], poses).mean_lsb[0]), axis=1) - 1
+        sensor.name: np.linalg.norm(_force_g(calibration, read_poses([sensor], fitted).mean_lsb[0]), axis=1) - 1
         for sensor, calibration in accelerometers
     }
 

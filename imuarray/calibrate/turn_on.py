@@ -192,20 +192,11 @@ def compare_runs(
         BiasState(means[group].mean(axis=0) - runs.gravity_lsb, float(group.mean()), tuple(numbers[group].tolist()))
         for group in groups
     )
-    return TurnOnResult(
-        runs,
-        faults,
-        states,
-        p_states,
-        slope,
-        sd,
-        freedom,
-        np.array([run.mean for run in inside]) ** 0.5 if inside else np.full(3, np.nan),
-        np.array([run.freedom for run in inside]) if inside else np.full(3, np.nan),
-        np.array([run.chance_of(float(spread) ** 2, freedom) for run, spread in zip(inside, sd, strict=True)])
-        if inside
-        else np.full(3, np.nan),
-    )
+    in_run = np.full((3, 3), np.nan)
+    if inside:
+        chances = [run.chance_of(float(spread) ** 2, freedom) for run, spread in zip(inside, sd, strict=True)]
+        in_run = np.array([[run.mean**0.5 for run in inside], [run.freedom for run in inside], chances])
+    return TurnOnResult(runs, faults, states, p_states, slope, sd, freedom, *in_run)
 
 
 def holm(p_values: npt.ArrayLike) -> Floats:

@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from imuarray.calibrate import TumbleResult, calibrate_tumble
-from imuarray.calibrate.faces import face_fit, fit_faces
+from imuarray.calibrate.faces import fit_faces
 from imuarray.calibrate.pose_readings import named_faces
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
@@ -174,7 +174,7 @@ def test_parameters_of_200_sensors_are_within_their_covariance(write_log: WriteL
     with open_log(write_log.faces(parts, rows=64, seed=22)) as log:
         faces = [pose for pose in named_faces(log) if not pose.is_check]
         for part in parts:
-            fit = face_fit(log[part.header.name], faces)
+            _, fit, _ = fit_faces(log[part.header.name], faces)
             error = (fit.coefficients - np.column_stack([part.response, part.bias])).ravel()
             squares.append(error @ np.linalg.solve(fit.covariance, error))
     low, high = chi2.ppf((0.0005, 0.9995), 12 * 200) / 200
@@ -281,7 +281,7 @@ def test_a_face_with_only_clipped_readings_is_refused_and_named(write_log: Write
 def test_a_partly_clipped_face_is_refused_or_unbiased(write_log: WriteLog) -> None:
     with open_log(clipped(write_log, -20.0)) as log:
         try:
-            fitted, _ = fit_faces(log["A"], named_faces(log))
+            fitted, _, _ = fit_faces(log["A"], named_faces(log))
         except CalibrationError:
             return
     assert fitted.response_sem_lsb_per_unit is not None

@@ -13,7 +13,7 @@ from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
 from imuarray.calibrate.correlated_noise import mean_of_series
 from imuarray.calibrate.runs import SensorRuns, best_split, explained_range, isolated_runs, two_states
 from imuarray.calibrate.stability import BiasState, TurnOn
-from imuarray.calibrate.start_up import state_of
+from imuarray.calibrate.start_up import RestMean, states_of
 from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, compare_runs, holm
 from imuarray.chips import CHIPS
 from imuarray.errors import CalibrationError
@@ -328,9 +328,13 @@ def test_faults_and_states_are_saved_and_recognised_in_the_next_run(write: Write
     assert box.apart == (7,) and box.runs == 11
     assert box.gravity_lsb is not None and np.linalg.norm(box.gravity_lsb) == pytest.approx(512.0)
     today = {"Gyro3": states[1] + 0.4, "BMA1": np.array([-100.0, -134.0, 25.0 + 4096.0])}
-    result = state_of(today, known, ranges={"BMA1": BMA180})
+    result = states_of({name: at_rest(mean) for name, mean in today.items()}, known, {"BMA1": BMA180})
     assert (result["Gyro3"].state, result["Gyro3"].fault) == (1, False)
     assert result["BMA1"].fault and "started at 2 g" in result["BMA1"].explanation
+
+
+def at_rest(mean: Sequence[float] | Floats, error: float = 0.0) -> RestMean:
+    return RestMean(np.asarray(mean, float), np.full(3, error))
 
 
 def started(**values: object) -> Calibration:
@@ -353,7 +357,7 @@ def started(**values: object) -> Calibration:
 def test_the_distance_of_a_start_from_the_states_by_hand(
     means: tuple[float, float, float], state: int, distance: float, fault: bool
 ) -> None:
-    result = state_of({"G": means, "other": (0, 0, 0)}, started())
+    result = states_of({"G": at_rest(means), "other": at_rest((0, 0, 0))}, started(), {})
     assert list(result) == ["G"]
     assert (result["G"].state, result["G"].fault) == (state, fault)
     assert result["G"].distance == pytest.approx(distance, nan_ok=True)
@@ -362,15 +366,17 @@ def test_the_distance_of_a_start_from_the_states_by_hand(
 
 def test_the_standard_error_of_a_short_rest_counts_in_the_distance() -> None:
     """A spread of 1 count and an error of 3: 30 counts along one axis are a distance of 30 / sqrt(3 (1 + 9)) = 5.5."""
-    start = state_of({"G": (0.0, 30.0, 0.0)}, started(), errors={"G": (3.0, 3.0, 3.0)})["G"]
+    start = states_of({"G": at_rest((0.0, 30.0, 0.0), 3.0)}, started(), {})["G"]
     assert (start.distance, start.fault) == (pytest.approx(30 / np.sqrt(30)), False)
 
 
 def test_a_slight_tilt_is_not_a_fault() -> None:
-    """Gravity of 512 counts, a pose known to 0.02 g (2.28 counts of 114): 10 counts are less than 8 spreads of 2.33."""
+    """Gravity of 512 counts, a pose known to 0.02 g (2.28 counts of 114): 15 counts are less than 8 spreads, of 1 count
+    and 2.28 together; they are 8.7 spreads of 1 count (rms over three axes) where no gravity tells of a pose.
+    """
     tilted = started(gravity_lsb=np.array([0.0, 0.0, 512.0]))
-    assert not state_of({"G": (0.0, 10.0, 512.0)}, tilted)["G"].fault
-    assert state_of({"G": (0.0, 10.0, 512.0)}, tilted, pose_g=0.0, limit=5.0)["G"].fault
+    assert not states_of({"G": at_rest((0.0, 15.0, 512.0))}, tilted, {})["G"].fault
+    assert states_of({"G": at_rest((0.0, 15.0, 0.0))}, started(), {})["G"].fault
 
 
 def test_too_few_or_duplicate_runs_are_refused(write: Write) -> None:
