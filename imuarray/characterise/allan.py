@@ -19,6 +19,7 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers
 from imuarray.characterise.allan_curve import (
     CONFIDENCE,
     IDENTIFY,
@@ -33,6 +34,7 @@ from imuarray.characterise.allan_stream import (
     AllanStream,
     CountColumn,
     Estimator,
+    Values,
     compact_running_sum,
     running_sum,
     sums_of_squares,
@@ -45,7 +47,6 @@ __all__ = [
     "AllanStream",
     "Estimator",
     "allan_deviation",
-    "allan_deviation_of_counts",
     "allan_deviation_of_runs",
     "octaves",
 ]
@@ -86,61 +87,42 @@ def allan_deviation(
     )
 
 
-def allan_deviation_of_counts(columns: Sequence[CountColumn], interval_s: float) -> AllanCurve:
-    """Return the overlapping Allan deviation, at octaves, of k equally long columns of counts that are read block by
-    block.
-
-    The result is identical to that of `allan_deviation`, with one column's running sum in memory: 4 bytes per count if
-    counts of 16 bits do not drift too far. ValueError for fewer than two counts.
-    """
-    rows = len(columns[0])
-    used_factors = _factors(rows, None)
-    moments = []
-    for column in columns:
-        short = column.dtype.itemsize <= 2
-        moments.append(_moments(compact_running_sum(column) if short else running_sum(column[:rows]), used_factors))
-    return make_curve(
-        moments, used_factors, [1] * len(used_factors), SeriesShape(rows, interval_s, (len(columns),)), CONFIDENCE
-    )
-
-
 def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, lengths: Sequence[int]) -> AllanCurve:
     """Return the overlapping Allan deviation, at octaves of the longest run, of k equally long columns of counts that
-    consist of runs of these `lengths`, one after the other with gaps between them: the mean over all terms within runs.
+    are read block by block. They consist of runs of these `lengths`, one after the other with gaps between them: the
+    mean is over all terms within runs. The result for a single run is identical to that of `allan_deviation`.
 
-    The noise type is estimated from the longest run. One column's running sum and the position of every row in its run
-    are held in memory. ValueError for fewer than two counts.
+    The noise type is estimated from the longest run. One column's running sum is held in memory, 4 bytes per count if
+    counts of 16 bits do not drift too far, and with several runs the position of every row in its run. ValueError for
+    fewer than two counts.
     """
-    if len(lengths) == 1:
-        return allan_deviation_of_counts(columns, interval_s)
     sizes = np.asarray(lengths, np.int64)
-    ends = np.cumsum(sizes)
-    longest = int(sizes.argmax())
-    run = slice(int(ends[longest] - sizes[longest]), int(ends[longest]))
-    place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # for each running sum, the number of values of its run
-    place[1:] -= np.repeat(ends - sizes, sizes).astype(np.int32)
     used_factors = _factors(int(sizes.max()), None)
     moments = []
     for column in columns:
         short = column.dtype.itemsize <= 2
         phase = compact_running_sum(column) if short else running_sum(column[: len(column)])
-        changes = ChangeMoments()
-        for start in range(0, len(column), _BLOCK):
-            stop = min(start + _BLOCK, len(column))
-            changes.feed_pairs(np.asarray(column[max(start - 1, 0) : stop]), place[max(start, 1) + 1 : stop + 1] > 1)
-        averages = [_averages(phase[run.start : run.stop + 1], m) for m in used_factors]
-        moments.append(
-            DifferenceMoments(sums_of_squares_within(phase, place, used_factors), averages, changes.kurtosis())
-        )
+        whole = len(sizes) == 1
+        moments.append(_moments(phase, used_factors) if whole else _moments_of_runs(column, phase, sizes, used_factors))
     kinds, number = np.unique(sizes, return_counts=True)
-    runs = tuple(zip(kinds.tolist(), number.tolist(), strict=True))
-    return make_curve(
-        moments,
-        used_factors,
-        [1] * len(used_factors),
-        SeriesShape(int(ends[-1]), interval_s, (len(columns),), runs),
-        CONFIDENCE,
-    )
+    runs = tuple(zip(kinds.tolist(), number.tolist(), strict=True)) if len(sizes) > 1 else ()
+    shape = SeriesShape(int(sizes.sum()), interval_s, (len(columns),), runs)
+    return make_curve(moments, used_factors, [1] * len(used_factors), shape, CONFIDENCE)
+
+
+def _moments_of_runs(column: CountColumn, phase: Values, sizes: Integers, factors: Sequence[int]) -> DifferenceMoments:
+    """Return the moments of a column of runs of these `sizes` (r,) with the running sum `phase` (n + 1,)."""
+    starts = np.cumsum(sizes) - sizes
+    place = np.arange(len(phase), dtype=np.int32)  # for each running sum, the number of values of its run
+    place[1:] -= np.repeat(starts, sizes).astype(np.int32)
+    changes = ChangeMoments()
+    for start in range(0, len(column), _BLOCK):
+        stop = min(start + _BLOCK, len(column))
+        changes.feed_pairs(np.asarray(column[max(start - 1, 0) : stop]), place[max(start, 1) + 1 : stop + 1] > 1)
+    longest = int(sizes.argmax())
+    run = phase[starts[longest] : starts[longest] + sizes[longest] + 1]
+    averages = [_averages(run, m) for m in factors]
+    return DifferenceMoments(sums_of_squares_within(phase, place, factors), averages, changes.kurtosis())
 
 
 def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:

@@ -370,8 +370,6 @@ def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) ->
     The significance level is the square root of that of a bin. This weak condition rejects few real lines; if the floor
     is right, it rejects hardly any peak.
     """
-    from scipy.special import fdtri  # scipy.stats is slow to import
-
     neighbours = float(_reflected(power, int(floor.bins[at]) + _NEIGHBOURS).mean())
     freedom = float(floor.spectrum_freedom[at])
     chance = sqrt(false_alarm / len(floor.bins))

@@ -71,28 +71,11 @@ class _RunningMoments(NamedTuple):
         return _RunningMoments(number, mean, squares)
 
 
-class _LagPairs(NamedTuple):
-    """Pairs of neighbouring rows relative to a fixed origin: their number, the sum of both rows' values and the sum of
-    their products (k,).
-    """
-
-    number: int
-    both: Floats
-    product: Floats
-
-    def merge(self, other: _LagPairs) -> _LagPairs:
-        """Return the sums of both together."""
-        return _LagPairs(self.number + other.number, self.both + other.both, self.product + other.product)
-
-    def covariance(self, offset: Floats) -> Floats:
-        """Mean product about a mean that lies `offset` from the origin."""
-        return (self.product - offset * self.both) / self.number + offset**2
-
-
 def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> NoiseStatistics:
     """Statistics of a sensor's `rows`, which should be a stretch at rest, without those in the spans `left_out`."""
     zeros = np.zeros(int(sensor.counts.shape[1]))
-    total, pairs, even = _RunningMoments(0, zeros, zeros), _LagPairs(0, zeros, zeros), zeros
+    total, even = _RunningMoments(0, zeros, zeros), zeros
+    pairs, both, product = 0, zeros, zeros  # of neighbouring rows in a block, relative to a fixed origin
     flags = dict.fromkeys(FLAGS, 0)
     means: list[Floats] = []
     origin: Floats | None = None
@@ -101,13 +84,27 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
         for used in _used_rows(sensor, batch, flags, left_out):
             origin = used.mean(axis=1) if origin is None else origin
             in_batch = in_batch.merge(_moments(used))
-            pairs = pairs.merge(_pairs(used - origin[:, np.newaxis]))
+            first, second = used[:, :-1] - origin[:, np.newaxis], used[:, 1:] - origin[:, np.newaxis]
+            pairs += first.shape[1]
+            both = both + (first + second).sum(axis=1)
+            product = product + (first * second).sum(axis=1)
             even = even + np.count_nonzero((used & 1) == 0, axis=1)
         total = total.merge(in_batch)
         if in_batch.number:
             means.append(in_batch.mean)
-    offset = zeros if origin is None else total.mean - origin
-    return _finish(_NoiseSums(rows.stop - rows.start, flags, total, pairs, even, means, offset))
+    number = total.number
+    std = sem = lag1 = mean = share = np.full(len(zeros), np.nan)
+    if number:
+        mean, share = total.mean, even / number
+    if number > 1:
+        std = np.sqrt(total.squares / (number - 1))
+    if len(means) > 1:
+        sem = np.std(means, axis=0, ddof=1) / np.sqrt(len(means))
+    if origin is not None and pairs:
+        offset = total.mean - origin
+        covariance = (product - offset * both) / pairs + offset**2
+        lag1 = covariance / np.where(total.squares > 0, total.squares / number, np.nan)
+    return NoiseStatistics(rows.stop - rows.start, number, flags, mean, std, sem, lag1, share)
 
 
 def _used_rows(
@@ -136,36 +133,3 @@ def _moments(rows: npt.NDArray[np.int64]) -> _RunningMoments:
     """Moments of rows (k, n)."""
     mean = rows.mean(axis=1)
     return _RunningMoments(rows.shape[1], mean, ((rows - mean[:, np.newaxis]) ** 2).sum(axis=1))
-
-
-def _pairs(rows: Floats) -> _LagPairs:
-    """Return sums over every row (k, n) and the next; pairs across two blocks are ignored."""
-    first, second = rows[:, :-1], rows[:, 1:]
-    return _LagPairs(first.shape[1], (first + second).sum(axis=1), (first * second).sum(axis=1))
-
-
-class _NoiseSums(NamedTuple):
-    """Sums that a pass over the rows collects; `offset` (k,) is where the mean lies from the origin of `pairs`."""
-
-    rows: int
-    flags: Mapping[str, int]
-    total: _RunningMoments
-    pairs: _LagPairs
-    even: Floats
-    means: list[Floats]
-    offset: Floats
-
-
-def _finish(sums: _NoiseSums) -> NoiseStatistics:
-    """Convert sums to statistics; nan where there are too few rows."""
-    used, squares = sums.total.number, sums.total.squares
-    std = sem = lag1 = mean = share = np.full(len(squares), np.nan)
-    if used:
-        mean, share = sums.total.mean, sums.even / used
-    if used > 1:
-        std = np.sqrt(squares / (used - 1))
-    if len(sums.means) > 1:
-        sem = np.std(sums.means, axis=0, ddof=1) / np.sqrt(len(sums.means))
-    if sums.pairs.number:
-        lag1 = sums.pairs.covariance(sums.offset) / np.where(squares > 0, squares / used, np.nan)
-    return NoiseStatistics(sums.rows, used, sums.flags, mean, std, sem, lag1, share)

@@ -92,7 +92,7 @@ def find_missing_gravity(sensor: SensorLog) -> str:
     """Return the predicate of an accelerometer without gravity; "" of one with it, or of unknown sensitivity."""
     if sensor.quantity != "specific_force" or sensor.unit != "g" or len(sensor) < FEWEST_ROWS or not sensor.sensitivity:
         return ""
-    values, _ = _middle_rows(sensor)
+    values, _, _ = _middle_rows(sensor)
     count = len(values) // _WINDOW_ROWS
     means = values[: count * _WINDOW_ROWS].reshape(count, _WINDOW_ROWS, 3).mean(axis=1)
     length = float(np.median(np.linalg.norm(means, axis=1))) / sensor.sensitivity
@@ -103,9 +103,9 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
     """Yield the filters of a program that are detected in the readings of a triad at rest, as predicates."""
     if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
         return
-    values, rate_hz = _middle_rows(sensor)
+    values, clipped, rate_hz = _middle_rows(sensor)
     most = _LEAST_MOTION.get(sensor.unit, 0.0) * sensor.sensitivity
-    windows, rest = _windows(values, most, _clipped_rows(sensor)), _longest_rest(values, most)
+    windows, rest = _windows(values, most, clipped), _longest_rest(values, most)
     is_seen = len(windows) >= FEWEST_WINDOWS
     if is_seen and (share := _share_of_held_axes(windows)):
         yield (
@@ -136,23 +136,16 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
         )
 
 
-def _middle(sensor: SensorLog) -> tuple[int, int]:
-    """Return the first row of the middle of a recording, and its number of rows."""
-    rows = min(len(sensor), _MOST_ROWS)
-    return (len(sensor) - rows) // 2, rows
-
-
-def _clipped_rows(sensor: SensorLog) -> Booleans:
-    """Return which rows (n,) of the middle of a recording are flagged as saturated: their codes repeat."""
-    first, rows = _middle(sensor)
-    return np.asarray((np.asarray(sensor.status[first : first + rows]) & SATURATED) != 0)
-
-
-def _middle_rows(sensor: SensorLog) -> tuple[Floats, float]:
-    """Return the counts (n, 3) of the middle of a recording, and its rate."""
-    first, rows = _middle(sensor)
-    seconds = (int(sensor.time[first + rows - 1]) - int(sensor.time[first])) * 1e-9
-    return np.asarray(sensor.counts[first : first + rows], float), (rows - 1) / seconds if seconds > 0 else 0.0
+def _middle_rows(sensor: SensorLog) -> tuple[Floats, Booleans, float]:
+    """Return the counts (n, 3) of the middle of a recording, which rows (n,) are flagged as saturated (their codes
+    repeat), and the rate.
+    """
+    count = min(len(sensor), _MOST_ROWS)
+    first = (len(sensor) - count) // 2
+    rows = slice(first, first + count)
+    seconds = (int(sensor.time[rows.stop - 1]) - int(sensor.time[first])) * 1e-9
+    clipped = np.asarray((np.asarray(sensor.status[rows]) & SATURATED) != 0)
+    return np.asarray(sensor.counts[rows], float), clipped, (count - 1) / seconds if seconds > 0 else 0.0
 
 
 def _share_of_held_axes(windows: Floats) -> float:

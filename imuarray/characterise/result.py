@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
-from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+from imuarray.characterise.allan_fit import fit_noise
 from imuarray.characterise.bands import find_bands
 from imuarray.characterise.codes import code_density, find_rails
 from imuarray.characterise.lines import FIRST_BIN, SpectralLine, aliases, find_lines
@@ -96,10 +96,8 @@ def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | Non
         return None
     shortest_s = FILTER_TIMES / (2 * math.pi * sensor.bandwidth_hz) if sensor.bandwidth_hz > 0 else 0.0
     fit = fit_noise(survey.curve, column, unit="counts", shortest_s=shortest_s)
-    return None if fit is None else _fit_table(fit)
-
-
-def _fit_table(fit: NoiseFit) -> dict[str, Any]:
+    if fit is None:
+        return None
     table = asdict(fit)
     terms = table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
     for name, item in terms.items():  # coloured noise may be mistaken for flicker noise or a random walk
@@ -201,16 +199,12 @@ def characterise_log(
         "confidence": CONFIDENCE,
         "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
         "sensors": [
-            _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _ignore)
+            _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or (lambda: None))
             for sensor in chosen_sensors
         ],
         "alignment": _alignment(log),
     }
     return {name: json_value(value) for name, value in result.items()}
-
-
-def _ignore() -> None:
-    pass
 
 
 def _alignment(log: Log) -> dict[str, Any] | None:

@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import binom
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan import allan_deviation_of_counts, allan_deviation_of_runs, octaves
+from imuarray.characterise.allan import allan_deviation_of_runs, octaves
 from imuarray.characterise.allan_fit import fit_noise
 
 with warnings.catch_warnings():
@@ -148,7 +148,7 @@ def test_deviation_from_blocks_of_counts_equals_the_definition(step: int, kind: 
     rows = 70_001  # beyond two blocks
     risen = np.where(np.arange(rows) < 101, np.arange(rows) % 3, min(step, limits.max - limits.min)) + limits.min
     columns = [risen.astype(kind), risen[::-1].astype(kind)]
-    curve = allan_deviation_of_counts(columns, 0.5)
+    curve = allan_deviation_of_runs(columns, 0.5, [len(columns[0])])
     for column, deviations in zip(columns, curve.deviation.T, strict=True):
         phase = np.concatenate([[0], np.cumsum(column.astype(np.int64))])
         for m, deviation in zip(octaves(rows), deviations, strict=True):
@@ -161,7 +161,7 @@ def test_deviation_from_blocks_of_counts_equals_the_definition(step: int, kind: 
 def test_blocks_of_counts_need_four_bytes_per_reading() -> None:
     values = np.random.default_rng(7).integers(-40, 40, 500_000).astype(np.int16)
     tracemalloc.start()
-    allan_deviation_of_counts([values], 1.0)
+    allan_deviation_of_runs([values], 1.0, [len(values)])
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 4 * len(values) + 2_500_000, "the running sum, and blocks"
@@ -270,7 +270,7 @@ def test_runs_are_pooled_by_their_squared_differences(lengths: list[int], seed: 
 
 def test_a_single_run_equals_the_deviation_of_counts() -> None:
     counts = np.random.default_rng(3).integers(-99, 99, 500).astype(np.int16)
-    pooled, alone = allan_deviation_of_runs([counts], 0.1, [500]), allan_deviation_of_counts([counts], 0.1)
+    pooled, alone = allan_deviation_of_runs([counts], 0.1, [500]), allan_deviation(counts[:, None], 0.1)
     np.testing.assert_array_equal(pooled.deviation, alone.deviation)
     np.testing.assert_array_equal(pooled.freedom, alone.freedom)
 
@@ -279,7 +279,7 @@ def test_degrees_of_freedom_of_equal_runs_add_up() -> None:
     """Twenty independent runs have twenty times the degrees of freedom of one run."""
     counts = np.random.default_rng(4).integers(-99, 99, 20 * 60).astype(np.int16)
     pooled = allan_deviation_of_runs([counts], 0.1, [60] * 20)
-    alone = allan_deviation_of_counts([counts[:60]], 0.1)
+    alone = allan_deviation_of_runs([counts[:60]], 0.1, [60])
     assert pooled.freedom[:, 0] == pytest.approx(20 * alone.freedom[:, 0], rel=1e-9)
 
 
