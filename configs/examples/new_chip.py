@@ -16,8 +16,8 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.chips import ChipSpec
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, flagged, saturated
-from imuarray.facts.registers import Register, Setting
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, flagged, saturated, words16
+from imuarray.facts.registers import Register
 from imuarray.log.format import OVERRUN, STALE
 
 # 1. imuarray/facts/lis3dh.py: what the data sheet prints, nothing else. The emulated chip shares it.
@@ -51,20 +51,18 @@ class Lis3dh(ChipDriver):
 
     burst: ClassVar[int] = 7
     reading: ClassVar[slice] = slice(1, 7)
-    tells_fresh: ClassVar[bool] = True
+    has_data_ready: ClassVar[bool] = True
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self.watched: tuple[Setting, ...] = (
+        self.watched = (
             RATE(1 + SPEC.rates_hz.index(sensor.chip_rate_hz)) | AXES_ON(0b111),
             BLOCK_UPDATE(1) | FULL_SCALE(list(SPEC.sensitivity).index(sensor.range or 2.0)) | HIGH_RESOLUTION(1),
         )
 
     def steps(self) -> Iterator[float]:
         """Write rate and range, and read them back."""
-        for setting in self.watched:
-            self.registers.set(setting)
-            yield 0.0
+        yield from self.registers.set_step_by_step(*self.watched)
 
     def self_test(self) -> SelfTest:
         """Return that there is none."""
@@ -76,7 +74,7 @@ class Lis3dh(ChipDriver):
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 12 bits; stale without ZYXDA (bit 3), overrun with ZYXOR (bit 7)."""
-        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16) >> 4
+        counts = words16(bursts[:, self.reading]) >> 4
         fresh = flagged(~bursts[:, 0], 0x08, STALE) | flagged(bursts[:, 0], 0x80, OVERRUN)
         return DecodedBursts(counts, None, fresh | saturated(counts, -2048, 2047))
 

@@ -457,7 +457,7 @@ class SampleBuffer:
                 status[[row for row in rows if row < count]] |= flag
         for first, last in self._suspect:
             status[first:last] |= SUSPECT
-        if not self.driver.tells_fresh:
+        if not self.driver.has_data_ready:
             status |= self._flag_repeated(self._bytes(count)[:, self.driver.reading])
         times = np.array(self.times_ns[:count], np.int64) - epoch_ns
         self.newest_ns = self.times_ns[count - 1]

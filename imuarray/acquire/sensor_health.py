@@ -359,7 +359,7 @@ class SensorHealth:
         """Report stale readings and overruns, which only the decoded status shows."""
         state = self._states[id(buffer)]
         state.rows -= len(block.time)
-        if buffer.queue is None and buffer.driver.tells_fresh:
+        if buffer.queue is None and buffer.driver.has_data_ready:
             late = state.freshness.overdue(block.time, block.status, buffer.doubtful_rows)
             if late.any():
                 _report_at(block.time[late] + epoch_ns, state.stale, "no new reading although one was due")

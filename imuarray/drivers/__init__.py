@@ -16,8 +16,7 @@ from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.lis3mdl import Lis3mdl
 from imuarray.drivers.lsm6dso import Lsm6dso, Lsm6dsoFifo
 from imuarray.drivers.mmc5983 import Mmc5983
-from imuarray.drivers.mpu6050 import Mpu6050, Mpu6050Fifo
-from imuarray.drivers.mpu6500 import Mpu6500, Mpu6500Fifo
+from imuarray.drivers.mpu import Mpu6050, Mpu6050Fifo, Mpu6500, Mpu6500Fifo
 
 __all__ = [
     "DRIVERS",

@@ -8,6 +8,7 @@ triad, 0x30 ... 0x37. A transaction reads one set of the queue (ADX-05, ADX-55).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -15,11 +16,11 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
-from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated, words16
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
-from imuarray.facts.registers import Setting
+from imuarray.facts.registers import Register
 from imuarray.log.format import OVERRUN, STALE
 
 _RANGE_CODES = {2.0: 0b00, 4.0: 0b01, 8.0: 0b10, 16.0: 0b11}  # ADX-26
@@ -36,7 +37,9 @@ class Adxl345(ChipDriver):
     """Driver of one ADXL345."""
 
     burst: ClassVar[int] = 8
-    tells_fresh: ClassVar[bool] = True
+    first: ClassVar[Register] = facts.INT_SOURCE  # events, the data format, x, y, z
+    unused: ClassVar[Register | None] = facts.THRESH_TAP  # taps are off: ADX-11
+    has_data_ready: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(2, 8)
     fifo_mode: ClassVar[int] = _BYPASS
 
@@ -45,7 +48,7 @@ class Adxl345(ChipDriver):
         self.range_g = sensor.range or 16.0
         self.rate_hz = sensor.chip_rate_hz
         rate_code = 15 - round(np.log2(3200.0 / self.rate_hz))  # ADX-36
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             facts.BW_RATE[7:0](facts.RATE(rate_code).value),
             facts.DATA_FORMAT[7:0]((facts.FULL_RES(1) | facts.RANGE(_RANGE_CODES[self.range_g])).value),
             facts.FIFO_CTL[7:0](facts.FIFO_MODE(self.fifo_mode).value),
@@ -55,20 +58,12 @@ class Adxl345(ChipDriver):
             facts.OFSZ[7:0](0),
         )
         self.power = facts.POWER_CTL[7:0](facts.MEASURE(1).value)
-        self.watched: tuple[Setting, ...] = (self.power, *self.settings[:3])
+        self.watched = (self.power, *self.settings[:3])
 
     def steps(self) -> Iterator[float]:
         """Set standby, the settings and measurement; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""
-        for setting in (facts.POWER_CTL[7:0](0), *self.settings, self.power):
-            self.registers.set(setting)
-            yield 0.0
+        yield from self.registers.set_step_by_step(facts.POWER_CTL[7:0](0), *self.settings, self.power)
         yield 1 / self.rate_hz + 1.1e-3
-
-    def mark(self, code: int) -> bool:
-        """Mark the chip in the threshold of taps, which is unused (ADX-11)."""
-        setting = facts.THRESH_TAP[7:0](code)
-        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
-        return True
 
     def self_test(self) -> SelfTest:
         """Measure the deflection with SELF_TEST set, against the limits of ADX-58 from 2.5 V to 3.3 V."""
@@ -88,16 +83,8 @@ class Adxl345(ChipDriver):
 
     def _readings_g(self) -> Floats:
         """Return specific forces (n, 3) in g, after the four samples that the filter needs (ADX-58)."""
-        sleep_for(self.clock, 5 / 400)
-        counts = []
-        for _ in range(_SELF_TEST_SAMPLES):
-            sleep_for(self.clock, 1 / 400)
-            counts.append(np.frombuffer(self.registers.peek(facts.DATAX0, 6), "<i2"))
-        return np.asarray(np.array(counts) / _LSB_PER_G)
-
-    def fetch(self) -> bytes:
-        """Read 0x30 ... 0x37: events, the data format, x, y, z."""
-        return self.registers.peek(facts.INT_SOURCE, self.burst)
+        read = partial(self.registers.peek, facts.DATAX0, 6)
+        return self.triads(read, 5 / 400, 1 / 400, count=_SELF_TEST_SAMPLES) / _LSB_PER_G
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts at 256 per g; stale where DATA_READY was clear, overrun where a set was replaced unread
@@ -110,7 +97,7 @@ class Adxl345(ChipDriver):
 
     def _triads(self, data: Bytes) -> DecodedBursts:
         """Return counts of (n, 6) data bytes."""
-        counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
+        counts = words16(data)
         half_span = int(self.range_g * _LSB_PER_G)
         highest = half_span - (2 if self.rate_hz > 800 else 1)  # only even codes at 1600 and 3200 Hz: ADX-47
         return DecodedBursts(counts, None, saturated(counts, -half_span, highest))

@@ -10,6 +10,7 @@ adjusted. Their x is along the y of the MPU, their y along x, their z opposite t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from types import ModuleType
 from typing import ClassVar
 
 import numpy as np
@@ -18,39 +19,52 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, Registers, SelfTest, carry_out, flagged, within
+from imuarray.drivers.driver import (
+    Bytes,
+    ChipDriver,
+    DecodedBursts,
+    Limits,
+    Registers,
+    SelfTest,
+    carry_out,
+    flagged,
+    within,
+    words16,
+)
 from imuarray.errors import SensorError
 from imuarray.facts import ak8963, ak8975, mpu6500
-from imuarray.facts.registers import Setting
+from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import OVERRUN, SATURATED, STALE
 
 _MODES = {8.0: 0b0010, 100.0: 0b0110}  # AKM-13
 _POWER_DOWN, _SELF_TEST_MODE, _FUSE_ROM = 0b0000, 0b1000, 0b1111
 _MODE_CHANGE_S = 0.001  # 100 us: AKM-13
 _MEASURED_S = 0.010  # at most 9 ms: AKM-14
-_SELF_TEST = ((-200.0, 200.0), (-200.0, 200.0), (-3200.0, -800.0))  # AKM-15, 16 bits, adjusted
 
 
 class Ak8963(ChipDriver):
     """Driver of one AK8963."""
 
+    table: ClassVar[ModuleType] = ak8963
     burst: ClassVar[int] = 8
-    tells_fresh: ClassVar[bool] = True
+    first: ClassVar[Register] = ak8963.ST1  # ST1, x, y, z, ST2: AKM-12, AKM-23
+    has_data_ready: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(1, 7)
     host_name: ClassVar[str] = "MPU-9250"
     host_identities: ClassVar[tuple[int, ...]] = (0x71, 0x73)  # MPU-9250, MPU-9255: INV-03
-    self_test_limits: ClassVar[tuple[tuple[float, float], ...]] = _SELF_TEST
+    self_test_limits: ClassVar[Limits] = ((-200.0, 200.0), (-200.0, 200.0), (-3200.0, -800.0))  # AKM-15, adjusted
+    overrun_bit: ClassVar[int] = ak8963.DATA_OVERRUN.mask
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         self.rate_hz = sensor.chip_rate_hz
-        self.mode, self.watched = self.settings()
+        self.mode = self.mode_setting(_MODES[self.rate_hz])
+        self.watched = (self.mode, ak8963.SELF_TEST(0))
         self.adjustment = bytes(3)
 
-    def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
-        """Return the mode in which it measures, and the settings that can be read back during measurement."""
-        mode = ak8963.SIXTEEN_BITS(1) | ak8963.MODE(_MODES[self.rate_hz])
-        return mode, (mode, ak8963.SELF_TEST(0))
+    def mode_setting(self, code: int) -> Setting:
+        """Return the setting of a mode, with counts of 16 bits (AKM-13)."""
+        return ak8963.SIXTEEN_BITS(1) | ak8963.MODE(code)
 
     def open_bypass(self) -> None:
         """Open the bypass of the MPU on this bus, if there is one; SensorError for two of them, whose magnetometers
@@ -83,9 +97,9 @@ class Ak8963(ChipDriver):
         """Open the bypass, read the fuse ROM, then measure continuously; SensorError if the ROM holds no adjustment."""
         self.open_bypass()
         yield from self._set_mode(_POWER_DOWN)
-        self.registers.set(ak8963.SELF_TEST(0))
+        self.registers.set(self.table.SELF_TEST(0))
         yield from self._set_mode(_FUSE_ROM)
-        self.adjustment = self.registers.peek(ak8963.ASAX, 3)
+        self.adjustment = self.registers.peek(self.table.ASAX, 3)
         if not all(self.adjustment):
             raise SensorError(f"{self.registers.label}: the fuse ROM reads {self.adjustment.hex(' ')}: not an AK8963")
         yield from self._set_mode(_POWER_DOWN)
@@ -97,8 +111,9 @@ class Ak8963(ChipDriver):
         self.registers.set(self.mode)
 
     def _set_mode(self, mode: int) -> Iterator[float]:
-        """Set a mode through power-down (AKM-13)."""
-        self.registers.poke(ak8963.CNTL1, (ak8963.SIXTEEN_BITS(1) | ak8963.MODE(mode)).value)
+        """Set a mode through power-down (AKM-13, AKM-24)."""
+        setting = self.mode_setting(mode)
+        self.registers.poke(setting.register, setting.value)
         yield _MODE_CHANGE_S
 
     @property
@@ -110,12 +125,12 @@ class Ak8963(ChipDriver):
         """Measure the field of the self-test, adjusted (AKM-15)."""
         self.configure()
         carry_out(self.clock, self._set_mode(_POWER_DOWN))
-        self.registers.poke(ak8963.ASTC, ak8963.SELF_TEST(1).value)
+        self.registers.poke(self.table.ASTC, self.table.SELF_TEST(1).value)
         carry_out(self.clock, self._set_mode(_SELF_TEST_MODE))
         sleep_for(self.clock, _MEASURED_S)
-        burst = np.frombuffer(self.measured(), np.uint8).reshape(1, -1)
-        decoded = self.decode(burst)
-        self.registers.poke(ak8963.ASTC, 0)
+        burst = self.registers.peek(self.first, self.burst)
+        decoded = self.decode(np.frombuffer(burst, np.uint8).reshape(1, -1))
+        self.registers.poke(self.table.ASTC, 0)
         answer = decoded.counts[0] * self.factors
         self.configure()
         limits = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in self.self_test_limits)
@@ -124,22 +139,14 @@ class Ak8963(ChipDriver):
             return SelfTest(False, "no answer to the self-test in 10 ms")
         return SelfTest(within(answer, self.self_test_limits), f"answers {readings} counts; limits {limits}")
 
-    def fetch(self) -> bytes:
-        """Read 0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
-        return self.registers.peek(ak8963.ST1, self.burst)
-
-    def measured(self) -> bytes:
-        """Return the burst of the self-test."""
-        return self.fetch()
-
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 16 bits, low byte first; stale where ST1 showed no new data, overrun where it showed skipped
-        data, saturated where ST2 showed an overflow of the sensor (AKM-11, AKM-12).
+        """Return words of 16 bits, low byte first; stale where ST1 showed no new data, overrun where it showed skipped
+        data, saturated where ST2 showed an overflow of the sensor (AKM-11, AKM-12, AKM-22, AKM-23).
         """
-        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
-        status = flagged(~bursts[:, 0], ak8963.DATA_READY.mask, STALE)
-        status |= flagged(bursts[:, 0], ak8963.DATA_OVERRUN.mask, OVERRUN)
-        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], ak8963.OVERFLOW.mask, SATURATED))
+        status = flagged(~bursts[:, 0], self.table.DATA_READY.mask, STALE)
+        status |= flagged(bursts[:, 0], self.overrun_bit, OVERRUN)
+        status |= flagged(bursts[:, 7], self.table.OVERFLOW.mask, SATURATED)
+        return DecodedBursts(words16(bursts[:, self.reading]), None, status)
 
     def header(self) -> Mapping[str, int]:
         """Return the adjustment of the sensitivity: the field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
@@ -160,22 +167,22 @@ class Ak8975(Ak8963):
     reading was therefore measured right after the previous call, at most 100 times per second.
     """
 
+    table: ClassVar[ModuleType] = ak8975
+    first: ClassVar[Register] = ak8975.ST1
     host_name: ClassVar[str] = "MPU-9150"
     host_identities: ClassVar[tuple[int, ...]] = (0x68,)  # INV-02
-    self_test_limits: ClassVar[tuple[tuple[float, float], ...]] = ((-100.0, 100.0), (-100.0, 100.0), (-1000.0, -300.0))
+    self_test_limits: ClassVar[Limits] = ((-100.0, 100.0), (-100.0, 100.0), (-1000.0, -300.0))
+    overrun_bit: ClassVar[int] = 0  # there is none: a measurement is started only after the last one was read
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.mode = self.mode_setting(_SINGLE)
+        self.watched = (ak8975.SELF_TEST(0),)  # the mode does not remain as written: AKM-24
         self._is_over, self._started_ns = True, -_PERIOD_NS
 
-    def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
-        """Return the single-measurement mode, and the settings that remain as written: the mode does not (AKM-24)."""
-        return ak8975.MODE(_SINGLE), (ak8975.SELF_TEST(0),)
-
-    def _set_mode(self, mode: int) -> Iterator[float]:
-        """Set a mode through power-down (AKM-24)."""
-        self.registers.poke(ak8975.CNTL, ak8975.MODE(mode).value)
-        yield _MODE_CHANGE_S
+    def mode_setting(self, code: int) -> Setting:
+        """Return the setting of a mode (AKM-24)."""
+        return ak8975.MODE(code)
 
     def steps(self) -> Iterator[float]:
         """Set the chip up as the AK8963, to the first measurement."""
@@ -187,25 +194,13 @@ class Ak8975(Ak8963):
         self.registers.poke(ak8975.CNTL, self.mode.value)
 
     def fetch(self) -> bytes:
-        """Read 0x02 ... 0x09: ST1, x, y, z, ST2; then start a new measurement if the last one is finished: a write of
-        the mode would abort it (AKM-23, DEC-235).
+        """Read a burst; then start a new measurement if the last one is finished: a write of the mode would abort it
+        (AKM-23, DEC-235).
         """
-        block = self.registers.peek(ak8975.ST1, self.burst)
+        block = super().fetch()
         self._is_over |= bool(block[0] & ak8975.DATA_READY.mask)
         now_ns = self.clock.now_ns()
         if now_ns >= self._started_ns + (_PERIOD_NS if self._is_over else _LONGEST_NS):
             self.start_measuring()
             self._is_over, self._started_ns = False, now_ns
         return block
-
-    def measured(self) -> bytes:
-        """Return the burst of the self-test: no measurement follows it."""
-        return self.registers.peek(ak8975.ST1, self.burst)
-
-    def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 13 bits in words of 16, low byte first; stale where ST1 showed no new data, saturated where
-        ST2 showed an overflow of the sensor (AKM-22, AKM-23).
-        """
-        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
-        status = flagged(~bursts[:, 0], ak8975.DATA_READY.mask, STALE)
-        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], ak8975.OVERFLOW.mask, SATURATED))

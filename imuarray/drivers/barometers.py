@@ -49,11 +49,10 @@ class OnDemandBarometer(ChipDriver):
     byte_order: ClassVar[Literal["little", "big"]] = "little"
     unsigned: ClassVar[tuple[str, ...]]
     required: ClassVar[tuple[str, ...]]
-    settings: ClassVar[tuple[Setting, ...]] = ()
 
     burst: ClassVar[int] = 6
     reading: ClassVar[slice] = slice(0, 6)
-    tells_fresh: ClassVar[bool] = True
+    has_data_ready: ClassVar[bool] = True
     conversions_ns: ClassVar[tuple[int, ...]]
     lasting_ns: ClassVar[int] = 100_000_000
     """Age in ns above which a result is not used as a new one, unless calls are rare."""
@@ -274,7 +273,7 @@ class Bmp280(ForcedBarometer):
     word_bytes: ClassVar[Sequence[int]] = (2,) * 12
     unsigned: ClassVar[tuple[str, ...]] = ("T1", "P1")  # BMP-103
     required: ClassVar[tuple[str, ...]] = ("T1", "T2", "P1")
-    settings: ClassVar[tuple[Setting, ...]] = (bmp280.STANDBY(0) | bmp280.FILTER(0) | bmp280.SPI_THREE_WIRE(0),)
+    settings = (bmp280.STANDBY(0) | bmp280.FILTER(0) | bmp280.SPI_THREE_WIRE(0),)
     conversions_ns: ClassVar[tuple[int, ...]] = (43_225_000,)  # 1.25 ms + 2.3 ms a sample + 0.575 ms: BMP-109
     first: ClassVar[Register] = bmp280.STATUS
     head: ClassVar[int] = 4  # status, both settings, and a register that does not exist
@@ -307,7 +306,7 @@ class Bmp388(ForcedBarometer):
     word_bytes: ClassVar[Sequence[int]] = (2, 2, 1, 2, 2, 1, 1, 2, 2, 1, 1, 2, 1, 1)  # BMP-203
     unsigned: ClassVar[tuple[str, ...]] = ("T1", "T2", "P5", "P6")  # BMP-203
     required: ClassVar[tuple[str, ...]] = ("T1", "T2", "P5")
-    settings: ClassVar[tuple[Setting, ...]] = (
+    settings = (
         bmp388.TEMPERATURE_OVERSAMPLING(0b001) | bmp388.PRESSURE_OVERSAMPLING(0b100),  # BMP-206
         bmp388.FILTER(0),
     )

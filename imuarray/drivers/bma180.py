@@ -18,7 +18,7 @@ from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, carry_out, saturated
 from imuarray.facts import bma180 as facts
-from imuarray.facts.registers import Setting
+from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import STALE
 from imuarray.printable import counted
 
@@ -50,19 +50,21 @@ class Bma180(ChipDriver):
     """Driver of one BMA180."""
 
     burst: ClassVar[int] = 7
-    tells_fresh: ClassVar[bool] = True
+    first: ClassVar[Register] = facts.ACC_X_LSB  # x, y, z, low byte first for the shadow, and temperature: BMA-99
+    unused: ClassVar[Register | None] = facts.CD1  # a byte for the user; the EEPROM is unchanged: BMA-35
+    has_data_ready: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(0, 6)
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             facts.BANDWIDTH(_BANDWIDTH_CODES[sensor.chip_bandwidth_hz]),
             facts.MODE_CONFIG(0b00),  # low noise: BMA-96
             facts.SHADOW_DIS(0),  # low and high byte of an axis from one conversion: BMA-99
             facts.RANGE(_RANGE_CODES[sensor.range or 2.0]) | facts.SMP_SKIP(0),
             facts.READOUT_12BIT(0),  # the EEPROM of a used part may differ: BMA-59, BMA-61
         )
-        self.watched: tuple[Setting, ...] = self.settings
+        self.watched = self.settings
 
     def steps(self) -> Iterator[float]:
         """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""
@@ -81,11 +83,6 @@ class Bma180(ChipDriver):
         for setting in settings:
             self.registers.verify(setting)
             yield 0.0
-
-    def mark(self, code: int) -> bool:
-        """Mark the chip in cd1, a byte for the user (BMA-35); the EEPROM is unchanged."""
-        self.settings = self.watched = (*self.settings, facts.CD1[7:0](code))
-        return True
 
     def self_test(self) -> SelfTest:
         """Measure the largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis
@@ -123,12 +120,6 @@ class Bma180(ChipDriver):
         sleep_for(self.clock, seconds)
         burst = np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)
         return np.asarray(self.decode(burst).counts[0], float)
-
-    def fetch(self) -> bytes:
-        """Read 0x02 ... 0x08: x, y, z and temperature, low byte first, so that the shadow keeps the bytes of each axis
-        together.
-        """
-        return self.registers.peek(facts.ACC_X_LSB, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale where no axis was

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -47,12 +47,16 @@ class Registers:
         """Read, modify and write: other bits of the register (such as a factory trim) keep their value."""
         self.poke(setting.register, setting.into(self.peek(setting.register)[0]))
 
-    def store(self, setting: Setting) -> None:
-        """Write a setting and read it back; bits outside its mask keep their value. SensorError as `verify`."""
+    def write(self, setting: Setting) -> None:
+        """Write a setting; bits outside its mask keep their value."""
         if setting.mask == 0xFF:
             self.poke(setting.register, setting.value)
         else:
             self.change(setting)
+
+    def store(self, setting: Setting) -> None:
+        """Write a setting and read it back; bits outside its mask keep their value. SensorError as `verify`."""
+        self.write(setting)
         self.verify(setting)
 
     def set(self, *settings: Setting) -> None:
@@ -60,6 +64,12 @@ class Registers:
         for setting in settings:
             self.poke(setting.register, setting.value)
             self.verify(setting)
+
+    def set_step_by_step(self, *settings: Setting) -> Iterator[float]:
+        """As `set`; yield 0 after each setting, so that a poll loop can read other chips before the next."""
+        for setting in settings:
+            self.set(setting)
+            yield 0.0
 
     def verify(self, setting: Setting) -> None:
         """Raise SensorError if the chip did not store `setting`."""
@@ -133,10 +143,10 @@ def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still
     the box moved. `text` is a template with {change}.
     """
     change = during.mean(axis=0) - before.mean(axis=0)
-    said = text.format(change=", ".join(f"{value:+.3g}" for value in change))
+    result = text.format(change=", ".join(f"{value:+.3g}" for value in change))
     if max(before.std(axis=0).max(), during.std(axis=0).max()) > still:
-        return SelfTest(None, f"{said}; it moved during the test: keep it at rest and try again")
-    return SelfTest(within(change, limits), said)
+        return SelfTest(None, f"{result}; it moved during the test: keep it at rest and try again")
+    return SelfTest(within(change, limits), result)
 
 
 def within(values: Floats, limits: Limits) -> bool:
@@ -152,7 +162,7 @@ class Driver(Protocol):
 
     burst: ClassVar[int]
     """Length of one fetched burst in bytes."""
-    tells_fresh: ClassVar[bool]
+    has_data_ready: ClassVar[bool]
     """True if the burst shows whether the reading is new; otherwise the logger compares it with the previous
     reading.
     """
@@ -264,13 +274,20 @@ def carry_out(clock: Clock, steps: Iterator[float]) -> None:
 
 
 class ChipDriver:
-    """The common part of the drivers of this package: the registers of one chip, and a set-up with waits.
+    """The common part of the drivers of this package: the registers of one chip, a set-up with waits, and bursts of one
+    transaction.
 
-    `clock` is the bus's; `relatives` names other chips that answer at its addresses, by identity. A chip without an
-    unused register can't be marked.
+    `clock` is the bus's; `relatives` names other chips that answer at its addresses, by identity.
     """
 
+    burst: ClassVar[int]
+    first: ClassVar[Register]
+    """Register at which a burst begins."""
+    unused: ClassVar[Register | None] = None
+    """A register without effect, which distinguishes the chip from its twins; a chip that has none can't be marked."""
     relatives: ClassVar[Mapping[int, str]] = MappingProxyType({})
+    settings: tuple[Setting, ...] = ()
+    watched: tuple[Setting, ...] = ()
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
@@ -290,8 +307,29 @@ class ChipDriver:
         carry_out(self.clock, self.steps())
 
     def mark(self, code: int) -> bool:
-        """Return False: no register of the chip is free."""
-        return False
+        """Mark the chip in its register `unused`, as `Driver.mark`."""
+        if self.unused is None:
+            return False
+        setting = self.unused[7:0](code)
+        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
+        return True
+
+    def fetch(self) -> bytes:
+        """Read one burst."""
+        return self.registers.peek(self.first, self.burst)
+
+    def triads(
+        self, read: Callable[[], bytes], settle_s: float, period_s: float, *, count: int = 32, order: str = "<i2"
+    ) -> Floats:
+        """Return counts (count, 3) for a self-test: `read` returns a triad of words of the given byte order; it is
+        called once per period, for the first time a period after `settle_s`.
+        """
+        sleep_for(self.clock, settle_s)
+        triads = []
+        for _ in range(count):
+            sleep_for(self.clock, period_s)
+            triads.append(np.frombuffer(read(), order))
+        return np.array(triads, np.float64)
 
     def header(self) -> Mapping[str, int] | Mapping[str, float]:
         """Return no attributes."""
@@ -301,6 +339,11 @@ class ChipDriver:
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:
     """Return the registers of `sensor` on `bus`, labelled for messages."""
     return Registers(bus, sensor.address, f"{sensor.name} ({sensor.chip}) at {sensor.place}")
+
+
+def words16(data: Bytes, order: str = "<i2") -> npt.NDArray[np.int16]:
+    """Return (n, k) signed words of 16 bits from (n, 2 k) bytes in this byte order."""
+    return np.ascontiguousarray(data).view(order).astype(np.int16)
 
 
 def flagged(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:

@@ -13,13 +13,13 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.array import SensorConfig
-from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
-from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, saturated, within
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, saturated, within, words16
 from imuarray.facts import hmc5883 as facts
-from imuarray.facts.registers import Setting
+from imuarray.facts.registers import Register
 
+_XZY = [0, 2, 1]
 _CONTINUOUS = 0b00
 _SELF_TEST_GAIN = 5
 _SELF_TEST_L = ((243.0, 575.0),) * 3  # HMC-41, at gain code 5
@@ -33,8 +33,9 @@ class Hmc5883(ChipDriver):
     """Driver of one HMC5883 or HMC5883L."""
 
     burst: ClassVar[int] = 6
+    first: ClassVar[Register] = facts.DATA_X_MSB  # all six bytes, so that the data registers unlock again: HMC-33
     reading: ClassVar[slice] = slice(0, 6)
-    tells_fresh: ClassVar[bool] = False  # the status register follows a wrap on which data sheets differ: HMC-06
+    has_data_ready: ClassVar[bool] = False  # the status register follows a wrap on which data sheets differ: HMC-06
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
@@ -46,7 +47,7 @@ class Hmc5883(ChipDriver):
         )
         self.mode = facts.HIGH_SPEED(0) | facts.OPERATION(_CONTINUOUS)
         # Reading the mode locks the data of the L until the next fetch (HMC-34); unread, a reset would not be detected.
-        self.watched: tuple[Setting, ...] = (*self.settings, self.mode)
+        self.watched = (*self.settings, self.mode)
         self.is_l = sensor.chip == "hmc5883l"
 
     def identify(self) -> None:
@@ -60,9 +61,7 @@ class Hmc5883(ChipDriver):
         Reading the mode register locks the data registers of the L until all six have been read (HMC-34).
         """
         yield _READY_S
-        for setting in (*self.settings, self.mode):
-            self.registers.set(setting)
-            yield 0.0
+        yield from self.registers.set_step_by_step(*self.settings, self.mode)
         self.fetch()
         yield 3 / self.rate_hz
         self.fetch()
@@ -75,7 +74,8 @@ class Hmc5883(ChipDriver):
         biased = facts.AVERAGING(0) | facts.OUTPUT_RATE(0b110) | facts.MEASUREMENT_BIAS(0b01)
         self.registers.set(biased, facts.GAIN(_SELF_TEST_GAIN))
         self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
-        answers = self._settled()
+        words = self.triads(self.fetch, 0.0, 2 / 75, count=7, order=">i2")
+        answers = words[3:, _XZY]
         self.configure()
         both = (_SELF_TEST_L, "hmc5883l"), (_SELF_TEST_PLAIN, "hmc5883")
         (limits, _), (other, name) = both if self.is_l else both[::-1]
@@ -86,20 +86,7 @@ class Hmc5883(ChipDriver):
             return SelfTest(False, f"{verdict.text}; fits an {name}: is it one?")
         return verdict
 
-    def _settled(self) -> Floats:
-        """Return a few readings (n, 3) in counts, without the first ones."""
-        readings = []
-        for _ in range(7):
-            sleep_for(self.clock, 2 / 75)
-            readings.append(self.decode(np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)).counts[0])
-        return np.asarray(readings[3:], float)
-
-    def fetch(self) -> bytes:
-        """Read 0x03 ... 0x08, all six bytes, so that the data registers unlock again (HMC-33)."""
-        return self.registers.peek(facts.DATA_X_MSB, self.burst)
-
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts in the order x, y, z; saturated where the converter overflowed."""
-        words = np.ascontiguousarray(bursts).view(">i2").astype(np.int16)
-        counts = words[:, [0, 2, 1]]
+        counts = words16(bursts, ">i2")[:, _XZY]
         return DecodedBursts(counts, None, saturated(counts, -2048, 2047))

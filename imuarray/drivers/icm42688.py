@@ -10,7 +10,6 @@ disturb the other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -22,8 +21,8 @@ from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers import icm42688_packets as packet_format
-from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
-from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf, factory_change, upward
+from imuarray.drivers.driver import Bytes, DecodedBursts, words16
+from imuarray.drivers.six_axis import INVENSENSE, HalfTest, QueuedHalf, SixAxisHalf, factory_change
 from imuarray.drivers.six_axis_queue import DieQueue, Icm42688Queue
 from imuarray.facts import icm42688 as facts
 from imuarray.facts.registers import Field, Register, Setting
@@ -40,48 +39,30 @@ _CLOCK_INPUT, _PULSE_INPUT = 0b10, 0b01  # TDK-24
 _STREAM = 0b01  # TDK-80
 _INVALID = -32768  # TDK-13
 _STAMPS_PER_S = 1e6  # TDK-83, TDK-90
-_SELF_TEST_SETTLE_S = 0.2  # TDK-42
+_SELF_TEST_RANGES = {"acc": 0b010, "gyro": 0b011}  # 4 g, 250 dps
+_RATES: Mapping[str, Field] = {"acc": facts.ACCEL_RATE, "gyro": facts.GYRO_RATE}
+_TRIMS: Mapping[str, Register] = {"acc": facts.XA_ST_DATA, "gyro": facts.XG_ST_DATA}
+_IN_PACKET = {"acc": slice(1, 7), "gyro": slice(7, 13)}
+_HIGH_RESOLUTION_BITS = {"acc": 18, "gyro": 19}
 
 
-@dataclass(frozen=True)
-class _Half:
-    """Properties in which the halves of the die differ; `in_packet` is the place of the triad in a row of the queue,
-    `bits` are those of a count in high resolution.
-    """
-
-    full_scale: Field
-    rate: Field
-    trim: Register
-    self_test_range: int
-    deflected: Setting
-    limits: Limits
-    allowed: str
-    in_packet: slice
-    bits: int
+def _range_and_rate(half: str, range_code: int, rate_hz: float) -> Setting:
+    full_scale = facts.ACCEL_RANGE if half == "acc" else facts.GYRO_RANGE
+    return full_scale.register[7:0]((full_scale(range_code) | _RATES[half](_RATE_CODES[rate_hz])).value)
 
 
-_HALVES = {
-    "acc": _Half(
-        facts.ACCEL_RANGE,
-        facts.ACCEL_RATE,
-        facts.XA_ST_DATA,
-        self_test_range=0b010,  # 4 g
-        deflected=facts.ACCEL_SELF_TEST_POWER(1) | facts.ACCEL_SELF_TEST(0b111),
+_SELF_TESTS = {
+    "acc": HalfTest(
+        at_rest=_range_and_rate("acc", _SELF_TEST_RANGES["acc"], 1000.0),
+        deflected=facts.SELF_TEST_CONFIG[7:0]((facts.ACCEL_SELF_TEST_POWER(1) | facts.ACCEL_SELF_TEST(0b111)).value),
         limits=((0.5, 1.5),) * 3,
-        allowed="0.5 to 1.5 allowed",
-        in_packet=slice(1, 7),
-        bits=18,
+        allowed="of the factory's; 0.5 to 1.5 allowed",
     ),
-    "gyro": _Half(
-        facts.GYRO_RANGE,
-        facts.GYRO_RATE,
-        facts.XG_ST_DATA,
-        self_test_range=0b011,  # 250 dps
-        deflected=facts.GYRO_SELF_TEST(0b111),
+    "gyro": HalfTest(
+        at_rest=_range_and_rate("gyro", _SELF_TEST_RANGES["gyro"], 1000.0),
+        deflected=facts.SELF_TEST_CONFIG[7:0](facts.GYRO_SELF_TEST(0b111).value),
         limits=((0.5, np.inf),) * 3,
-        allowed="0.5 and more allowed",
-        in_packet=slice(7, 13),
-        bits=19,
+        allowed="of the factory's; 0.5 and more allowed",
     ),
 }
 
@@ -90,14 +71,16 @@ class Icm42688(SixAxisHalf):
     """Driver of one half of an ICM-42688-P."""
 
     first: ClassVar[Register] = facts.TEMP_DATA1
-    marked: ClassVar[Register] = facts.FIFO_CONFIG2  # the watermark of the queue, which is off: TDK-23
+    unused: ClassVar[Register | None] = facts.FIFO_CONFIG2  # the watermark of the queue, which is off: TDK-23
     relatives: ClassVar[Mapping[int, str]] = INVENSENSE
-    triads: ClassVar[Mapping[str, slice]] = {"acc": slice(2, 8), "gyro": slice(8, 14)}
+    places: ClassVar[Mapping[str, slice]] = {"acc": slice(2, 8), "gyro": slice(8, 14)}
     temperature: ClassVar[slice] = slice(0, 2)
+    self_tests: ClassVar[Mapping[str, HalfTest]] = _SELF_TESTS
+    settle_s: ClassVar[float] = 0.2  # TDK-42
+    after_self_test: ClassVar[Setting | None] = facts.SELF_TEST_CONFIG[7:0](0)
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self.own = _HALVES[self.half]
         self.nominal_rate_hz = sensor.nominal_rate_hz
         has_clock = sensor.external_clock_hz is not None
         ranges = sorted(sensor.spec.sensitivity, reverse=True)  # code 0 is the largest: TDK-14
@@ -106,9 +89,8 @@ class Icm42688(SixAxisHalf):
         delta, square, shift = _ANTI_ALIAS
         high, low = divmod(square, 256)
         self.power = facts.PWR_MGMT0[7:0]((facts.GYRO_MODE(_LOW_NOISE) | facts.ACCEL_MODE(_LOW_NOISE)).value)
-        self.range_setting = self._range_and_rate(
-            ranges.index(sensor.range or ranges[0]), _RATE_CODES[self.nominal_rate_hz]
-        )
+        range_code = ranges.index(sensor.range or ranges[0])
+        self.range_setting = _range_and_rate(self.half, range_code, self.nominal_rate_hz)
         interface = facts.SERIAL_INTERFACE(_I2C_OFF if self.on_spi else 0)
         self.settings = (
             facts.INTF_CONFIG0[7:0]((facts.FIFO_COUNT_BIG_ENDIAN(1) | facts.DATA_BIG_ENDIAN(1) | interface).value),
@@ -132,10 +114,6 @@ class Icm42688(SixAxisHalf):
         """The registers of banks 1 and 2, in this order."""
         self.watched = (self._bank(0), self.power, self.range_setting, *self.settings)
 
-    def _range_and_rate(self, range_code: int, rate_code: int) -> Setting:
-        own = self.own
-        return own.full_scale.register[7:0]((own.full_scale(range_code) | own.rate(rate_code)).value)
-
     def _bank(self, number: int) -> Setting:
         return facts.REG_BANK_SEL[7:0](facts.BANK(number).value)
 
@@ -148,7 +126,8 @@ class Icm42688(SixAxisHalf):
         self.registers.set(self._bank(0))
         if not self._is_set():
             self.registers.set(facts.PWR_MGMT0[7:0](0))
-            self._write_shared()
+            for setting in chain(self.settings, self._filters_by_bank()):
+                self.registers.store(setting)
         self.registers.set(self.range_setting)
         self.registers.set(self.power)
         yield _START_S
@@ -158,16 +137,10 @@ class Icm42688(SixAxisHalf):
         """Return whether the die measures with all common settings of both halves."""
         if not all(self._holds(setting) for setting in (self.power, *self.settings)):
             return False
-        different = [setting for setting in self._filters_by_bank() if not self._holds(setting)]
-        return not different
+        return not [setting for setting in self._filters_by_bank() if not self._holds(setting)]  # to bank 0 again
 
     def _holds(self, setting: Setting) -> bool:
         return self.registers.peek(setting.register)[0] & setting.mask == setting.value
-
-    def _write_shared(self) -> None:
-        """Write settings; other bits keep their value."""
-        for setting in chain(self.settings, self._filters_by_bank()):
-            self.registers.store(setting)
 
     def _filters_by_bank(self) -> Iterator[Setting]:
         """Yield each setting of the filters while its bank is selected; bank 0 again after the last."""
@@ -179,31 +152,15 @@ class Icm42688(SixAxisHalf):
             yield setting
         self.registers.set(self._bank(0))
 
-    def self_test(self) -> SelfTest:
-        """Measure the change of the counts with the self-test on, as a share of the factory's (TDK-40 ... TDK-42)."""
-        own = self.own
-        self.configure()
-        trim = self._trim_counts()
-        if not trim.all():
-            return SelfTest(None, "this chip holds no factory trim to compare with")
-        still = self._range_and_rate(own.self_test_range, _RATE_CODES[1000.0])
-        self.registers.poke(still.register, still.value)
-        before = self.readings(_SELF_TEST_SETTLE_S) / trim
-        self.registers.poke(own.deflected.register, own.deflected.value)
-        during = self.readings(_SELF_TEST_SETTLE_S) / trim
-        self.registers.poke(own.deflected.register, 0)
-        self.configure()
-        text = f"changes by {{change}} of the factory's; {own.allowed}"
-        return compared(*upward(before, during), own.limits, text, still=0.05)
-
-    def _trim_counts(self) -> Floats:
+    def self_test_unit(self) -> Floats:
         """Return the change (3,) at the factory, in counts at the range of the self-test; at a range twice the smallest
         the counts are half as large (TDK-40).
         """
-        self.registers.set(self._bank(self.own.trim.bank))
-        codes = self.registers.peek(self.own.trim, 3)
+        trim = _TRIMS[self.half]
+        self.registers.set(self._bank(trim.bank))
+        codes = self.registers.peek(trim, 3)
         self.registers.set(self._bank(0))
-        return factory_change(codes) / 2.0 ** (3 - self.own.self_test_range)
+        return factory_change(codes) / 2.0 ** (3 - _SELF_TEST_RANGES[self.half])
 
     def remark(self) -> str:
         """Report, for the gyroscope, that the adaptive range is on; with it readings freeze near 100 dps (TDK-18)."""
@@ -239,7 +196,7 @@ class Icm42688Fifo(QueuedHalf, Icm42688):
     @property
     def reading(self) -> slice:
         """The triad of this half in a packet."""
-        return self.own.in_packet
+        return _IN_PACKET[self.half]
 
     def _new_queue(self) -> DieQueue:
         rates_hz = self.rate_hz, self.nominal_rate_hz
@@ -264,7 +221,7 @@ class Icm42688Fifo(QueuedHalf, Icm42688):
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, and the temperature in counts of its register, 64 for each of its own (TDK-82)."""
-        counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i2").astype(np.int16)
+        counts = words16(bursts[:, self.reading], ">i2")
         coarse = np.ascontiguousarray(bursts[:, 13]).view(np.int8).astype(np.int16)
         temperature = np.where(coarse == -128, _INVALID, coarse * 64).astype(np.int16)  # TDK-82
         decoded = DecodedBursts(counts, temperature, _status(counts))
@@ -304,5 +261,5 @@ class Icm42688HighResolution(Icm42688Fifo):
         register.
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
-        temperature = np.ascontiguousarray(bursts[:, 12:]).view(">i2")[:, 0].astype(np.int16)
-        return DecodedBursts(counts, temperature, _status(counts, self.own.bits))
+        temperature = words16(bursts[:, 12:], ">i2")[:, 0]
+        return DecodedBursts(counts, temperature, _status(counts, _HIGH_RESOLUTION_BITS[self.half]))

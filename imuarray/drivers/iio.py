@@ -147,7 +147,7 @@ class IioSensor:
     """One triad of a device, read attribute by attribute; shares `capture` with the other sensors of the device."""
 
     burst: ClassVar[int] = _WORDS * BURST.itemsize
-    tells_fresh: ClassVar[bool] = False
+    has_data_ready: ClassVar[bool] = False
     reading: ClassVar[slice] = slice(0, 3 * BURST.itemsize)
 
     def __init__(self, sensor: SensorConfig, capture: IioCapture) -> None:
@@ -271,8 +271,8 @@ class IioSensor:
             return default
         values = [_number(f"{name}_{kind}", text) for name, text in texts.items()]
         if not all(math.isclose(value, values[0], rel_tol=SCALE_MARGIN) for value in values):
-            said = ", ".join(f"{value:g}" for value in values)
-            raise SensorError(f"{self.device}: {shared} of x, y, z is {said}; a log has one for all axes")
+            text = ", ".join(f"{value:g}" for value in values)
+            raise SensorError(f"{self.device}: {shared} of x, y, z is {text}; a log has one for all axes")
         return values[0]
 
     def _thermometer(self, elements: Mapping[str, ScanElement]) -> ThermometerScale | None:
@@ -377,7 +377,7 @@ class IioSensor:
 class BufferedIioSensor(IioSensor):
     """One triad of a device that captures into the kernel's buffer."""
 
-    tells_fresh: ClassVar[bool] = True
+    has_data_ready: ClassVar[bool] = True
 
     def __init__(self, sensor: SensorConfig, capture: IioCapture) -> None:
         self.queue = IioQueue(1e9 / sensor.chip_rate_hz)

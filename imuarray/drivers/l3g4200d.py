@@ -8,6 +8,7 @@ carries temperature, status and the triad, 0x26 ... 0x2D.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated, words16
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Register, Setting
@@ -36,7 +37,7 @@ class L3g4200d(ChipDriver):
     """Driver of one L3G4200D."""
 
     burst: ClassVar[int] = 8
-    tells_fresh: ClassVar[bool] = True
+    has_data_ready: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(2, 8)
     fifo: ClassVar[bool] = False
 
@@ -54,7 +55,7 @@ class L3g4200d(ChipDriver):
             | facts.POWER_ON(1)
             | facts.AXES_ON(0b111)
         )
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             facts.HIGH_PASS_MODE(0) | facts.HIGH_PASS_CUTOFF(0),
             facts.CTRL_REG3[7:0](0),
             facts.BLOCK_DATA_UPDATE(1)
@@ -64,13 +65,11 @@ class L3g4200d(ChipDriver):
             facts.FIFO_EN(int(self.fifo)) | facts.HIGH_PASS_EN(0) | facts.OUT_SELECT(0b10),
             facts.FIFO_MODE(_STREAM if self.fifo else _BYPASS) | facts.FIFO_WATERMARK(0),
         )
-        self.watched: tuple[Setting, ...] = (self.power, *self.settings[2:])
+        self.watched = (self.power, *self.settings[2:])
 
     def steps(self) -> Iterator[float]:
         """Write every control register, because the chip has no reset, then the power bit; wait for the turn-on."""
-        for setting in (*self.settings, self.power):
-            self.registers.set(setting)
-            yield 0.0
+        yield from self.registers.set_step_by_step(*self.settings, self.power)
         yield _TURN_ON_S
 
     def mark(self, code: int) -> bool:
@@ -97,13 +96,8 @@ class L3g4200d(ChipDriver):
 
     def _readings_dps(self) -> Floats:
         """Return angular rates (n, 3) in dps, once the filter has settled."""
-        sleep_for(self.clock, 0.1)
-        counts = []
-        for _ in range(_SELF_TEST_SAMPLES):
-            sleep_for(self.clock, 1 / self.rate_hz)
-            block = self._read(facts.OUT_X_L, 6)
-            counts.append(np.frombuffer(block, "<i2"))
-        return np.asarray(np.array(counts) / self.sensitivity)
+        read = partial(self._read, facts.OUT_X_L, 6)
+        return self.triads(read, 0.1, 1 / self.rate_hz, count=_SELF_TEST_SAMPLES) / self.sensitivity
 
     def _read(self, register: Register, count: int) -> bytes:
         """Read `count` registers from `register` on."""
@@ -165,5 +159,5 @@ class L3g4200dFifo(L3g4200d):
 
 def _triads(data: Bytes) -> DecodedBursts:
     """Return counts of (n, 6) data bytes."""
-    counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
+    counts = words16(data)
     return DecodedBursts(counts, None, saturated(counts, -32768, 32767))

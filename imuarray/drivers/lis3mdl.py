@@ -8,18 +8,17 @@ before status and triad: a burst does not continue from the triad to the tempera
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import ClassVar
-
-import numpy as np
 
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
-from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated, words16
 from imuarray.facts import lis3mdl as facts
-from imuarray.facts.registers import Register, Setting
+from imuarray.facts.registers import Register
 from imuarray.log.format import OVERRUN, STALE
 
 _COUNT_ON = 0x80  # LIS-03
@@ -44,7 +43,7 @@ class Lis3mdl(ChipDriver):
     """Driver of one LIS3MDL."""
 
     burst: ClassVar[int] = 9
-    tells_fresh: ClassVar[bool] = True
+    has_data_ready: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(3, 9)
     relatives: ClassVar[Mapping[int, str]] = MappingProxyType(
         {0x3C: "an LSM303DLHC or LSM303DLM", 0x40: "an LIS2MDL or LSM303AGR"}  # LIS-02
@@ -56,7 +55,7 @@ class Lis3mdl(ChipDriver):
         self.sensitivity = sensor.spec.sensitivity
         is_fast = self.rate_hz == _FASTEST_HZ
         rate = 0 if is_fast else sensor.spec.rates_hz.index(self.rate_hz)  # codes count up: LIS-11
-        self.settings: tuple[Setting, ...] = (
+        self.settings = (
             *(register[7:0](0) for register in _OFFSETS),
             facts.TEMPERATURE_ON(1)
             | facts.XY_PERFORMANCE(_ULTRA_HIGH)
@@ -69,13 +68,11 @@ class Lis3mdl(ChipDriver):
             facts.INT_THS_L[7:0](0),
             facts.LOW_POWER(0) | facts.SPI_THREE_WIRE(0) | facts.OPERATION(_CONTINUOUS),
         )
-        self.watched: tuple[Setting, ...] = self.settings[len(_OFFSETS) :]
+        self.watched = self.settings[len(_OFFSETS) :]
 
     def steps(self) -> Iterator[float]:
         """Set offsets to zero, every setting, and continuous measurement last; then wait for its first samples."""
-        for setting in self.settings:
-            self.registers.set(setting)
-            yield 0.0
+        yield from self.registers.set_step_by_step(*self.settings)
         yield _START_S
         yield 2 / self.rate_hz
 
@@ -101,13 +98,10 @@ class Lis3mdl(ChipDriver):
         return compared(before, during, _SELF_TEST_GAUSS, text, still=_SELF_TEST_STILL)
 
     def _readings_gauss(self) -> Floats:
-        """Return fields (n, 3) in gauss, without the first ones."""
-        sleep_for(self.clock, _SELF_TEST_SETTLE_S)
-        counts = []
-        for _ in range(_SELF_TEST_SAMPLES):
-            sleep_for(self.clock, 1.1 / 80)
-            counts.append(np.frombuffer(self._read(facts.OUT_X_L, 6), "<i2"))
-        return np.asarray(np.array(counts) / self.sensitivity[_SELF_TEST_RANGE])
+        """Return fields (n, 3) in gauss."""
+        read = partial(self._read, facts.OUT_X_L, 6)
+        counts = self.triads(read, _SELF_TEST_SETTLE_S, 1.1 / 80, count=_SELF_TEST_SAMPLES)
+        return counts / self.sensitivity[_SELF_TEST_RANGE]
 
     def _read(self, register: Register, count: int) -> bytes:
         return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
@@ -120,8 +114,7 @@ class Lis3mdl(ChipDriver):
         """Return counts of 16 bits, low byte first (LIS-14), as the temperature. Stale where ZYXDA was clear, overrun
         where ZYXOR was set (LIS-12).
         """
-        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
-        temperature = np.ascontiguousarray(bursts[:, 0:2]).view("<i2").astype(np.int16)[:, 0]
+        counts, temperature = words16(bursts[:, self.reading]), words16(bursts[:, 0:2])[:, 0]
         status = saturated(counts, -32768, 32767)
         status |= flagged(~bursts[:, 2], facts.ZYX_AVAILABLE.mask, STALE)
         return DecodedBursts(counts, temperature, status | flagged(bursts[:, 2], facts.ZYX_OVERRUN.mask, OVERRUN))

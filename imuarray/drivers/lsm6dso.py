@@ -9,7 +9,6 @@ on if its rate is not 0. Both filters keep their settings of power-on: their ban
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -18,16 +17,15 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared, saturated
-from imuarray.drivers.six_axis import QueuedHalf, SixAxisHalf, upward
+from imuarray.drivers.driver import Bytes, DecodedBursts, saturated, words16
+from imuarray.drivers.six_axis import HalfTest, QueuedHalf, SixAxisHalf
 from imuarray.drivers.six_axis_queue import DieQueue, Lsm6dsoQueue
 from imuarray.facts import lsm6dso as facts
-from imuarray.facts.registers import Field, Register, Setting
+from imuarray.facts.registers import Register, Setting
 
 _START_S = 0.15  # ST's own program waits as long for the gyroscope, and 0.1 s for the accelerometer: LSM-17
 _RATE_CODES = {104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7, 1666.0: 8}  # LSM-15
 _SELF_TEST_RATE = 5  # 208 Hz: LSM-20
-_SELF_TEST_SETTLE_S = 0.1  # LSM-20
 _QUEUE_ON = facts.FIFO_CTRL4[7:0](
     (facts.FIFO_MODE(0b110) | facts.TEMPERATURE_BATCH_RATE(0b11)).value  # the oldest is lost; 52 temperatures a second
 )
@@ -35,37 +33,31 @@ _LATCHED = 0b011  # the first sample after a pulse is marked: LSM-49
 _MARKS = facts.CTRL9_XL[7:0]((facts.MARK_Z(1) | facts.PULSE_ACTIVE_HIGH(1)).value)  # of the gyroscope
 
 
-@dataclass(frozen=True)
-class _Half:
-    """Properties in which the halves of the die differ."""
-
-    full_scale: Field
-    rate: Field
-    range_codes: Mapping[float, int]
-    deflected: Setting
-    self_test_range: float
-    limits: Limits
-    allowed: str
-    still: float
+_RANGE_CODES = {  # LSM-14
+    "acc": {2.0: 0, 4.0: 2, 8.0: 3, 16.0: 1},
+    "gyro": {125.0: 1, 250.0: 0, 500.0: 2, 1000.0: 4, 2000.0: 6},
+}
+_SELF_TEST_RANGES = {"acc": 4.0, "gyro": 2000.0}
 
 
-_HALVES = {
-    "acc": _Half(
-        facts.ACCEL_RANGE,
-        facts.ACCEL_RATE,
-        range_codes={2.0: 0, 4.0: 2, 8.0: 3, 16.0: 1},  # LSM-14
-        deflected=facts.ACCEL_SELF_TEST(0b01),
-        self_test_range=4.0,
+def _range_and_rate(half: str, full_scale: float, rate_code: int) -> Setting:
+    range_code = _RANGE_CODES[half][full_scale]
+    if half == "acc":
+        return facts.CTRL1_XL[7:0]((facts.ACCEL_RANGE(range_code) | facts.ACCEL_RATE(rate_code)).value)
+    return facts.CTRL2_G[7:0]((facts.GYRO_RANGE(range_code) | facts.GYRO_RATE(rate_code)).value)
+
+
+_SELF_TESTS = {
+    "acc": HalfTest(
+        at_rest=_range_and_rate("acc", _SELF_TEST_RANGES["acc"], _SELF_TEST_RATE),
+        deflected=facts.CTRL5_C[7:0](facts.ACCEL_SELF_TEST(0b01).value),
         limits=((0.05, 1.7),) * 3,
         allowed="g; 0.05 to 1.7 g allowed",
         still=0.02,
     ),
-    "gyro": _Half(
-        facts.GYRO_RANGE,
-        facts.GYRO_RATE,
-        range_codes={125.0: 1, 250.0: 0, 500.0: 2, 1000.0: 4, 2000.0: 6},  # LSM-14
-        deflected=facts.GYRO_SELF_TEST(0b01),
-        self_test_range=2000.0,
+    "gyro": HalfTest(
+        at_rest=_range_and_rate("gyro", _SELF_TEST_RANGES["gyro"], _SELF_TEST_RATE),
+        deflected=facts.CTRL5_C[7:0](facts.GYRO_SELF_TEST(0b01).value),
         limits=((150.0, 700.0),) * 3,
         allowed="dps; 150 to 700 dps allowed",
         still=10.0,
@@ -77,7 +69,7 @@ class Lsm6dso(SixAxisHalf):
     """Driver of one half of an LSM6DSO."""
 
     first: ClassVar[Register] = facts.OUT_TEMP_L
-    marked: ClassVar[Register] = facts.FIFO_CTRL1  # the watermark of the queue, which is off: LSM-18
+    unused: ClassVar[Register | None] = facts.FIFO_CTRL1  # the watermark of the queue, which is off: LSM-18
     relatives: ClassVar[Mapping[int, str]] = MappingProxyType(  # LSM-03
         {
             0x69: "an LSM6DS3",
@@ -87,15 +79,16 @@ class Lsm6dso(SixAxisHalf):
             0x70: "an LSM6DSV",
         }
     )
-    triads: ClassVar[Mapping[str, slice]] = {"acc": slice(8, 14), "gyro": slice(2, 8)}
+    places: ClassVar[Mapping[str, slice]] = {"acc": slice(8, 14), "gyro": slice(2, 8)}
     temperature: ClassVar[slice] = slice(0, 2)
     order: ClassVar[str] = "<i2"
+    self_tests: ClassVar[Mapping[str, HalfTest]] = _SELF_TESTS
+    settle_s: ClassVar[float] = 0.1  # LSM-20
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self.own = _HALVES[self.half]
         self.sensitivity = sensor.spec.sensitivity
-        full_scale = sensor.range or min(self.own.range_codes)
+        full_scale = sensor.range or min(_RANGE_CODES[self.half])
         self.settings = (
             facts.FUNC_CFG_ACCESS[7:0](0),
             facts.CTRL3_C[7:0]((facts.BLOCK_UPDATE(1) | facts.AUTO_INCREMENT(1)).value),
@@ -105,36 +98,19 @@ class Lsm6dso(SixAxisHalf):
             facts.CTRL7_G[7:0](0),
             facts.CTRL8_XL[7:0](0),
             *((_MARKS,) if sensor.sync_pulse else ()),
-            self._range_and_rate(full_scale, _RATE_CODES[self.rate_hz]),
+            _range_and_rate(self.half, full_scale, _RATE_CODES[self.rate_hz]),
         )
         self.watched = self.settings
 
-    def _range_and_rate(self, full_scale: float, rate_code: int) -> Setting:
-        own = self.own
-        value = (own.full_scale(own.range_codes[full_scale]) | own.rate(rate_code)).value
-        return own.full_scale.register[7:0](value)
-
     def steps(self) -> Iterator[float]:
         """Write every setting; the last one switches this half on. Wait until it measures."""
-        for setting in self.settings:
-            self.registers.set(setting)
-            yield 0.0
+        yield from self.registers.set_step_by_step(*self.settings)
         yield _START_S
         yield 2 / self.rate_hz
 
-    def self_test(self) -> SelfTest:
-        """Measure the change with the self-test on, in g or dps (LSM-20, LSM-21)."""
-        own = self.own
-        self.configure()
-        setting = self._range_and_rate(own.self_test_range, _SELF_TEST_RATE)
-        self.registers.poke(setting.register, setting.value)
-        scale = self.sensitivity[own.self_test_range]
-        before = self.readings(_SELF_TEST_SETTLE_S) / scale
-        self.registers.poke(own.deflected.register, own.deflected.value)
-        during = self.readings(_SELF_TEST_SETTLE_S) / scale
-        self.configure()
-        text = f"changes by {{change}} {own.allowed}"
-        return compared(*upward(before, during), own.limits, text, still=own.still)
+    def self_test_unit(self) -> float:
+        """Return the counts per g or dps (LSM-20, LSM-21)."""
+        return self.sensitivity[_SELF_TEST_RANGES[self.half]]
 
 
 class Lsm6dsoFifo(QueuedHalf, Lsm6dso):
@@ -162,8 +138,7 @@ class Lsm6dsoFifo(QueuedHalf, Lsm6dso):
         """Return counts of 16 bits, low byte first; with pulses the lowest bit of the gyroscope's z is the mark
         (LSM-49).
         """
-        counts = np.ascontiguousarray(bursts[:, 1:7]).view("<i2").astype(np.int16)
-        temperature = np.ascontiguousarray(bursts[:, 7:9]).view("<i2")[:, 0].astype(np.int16)
+        counts, temperature = words16(bursts[:, 1:7]), words16(bursts[:, 7:9])[:, 0]
         decoded = DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
         if not self.marks_pulses:
             return decoded

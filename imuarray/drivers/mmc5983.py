@@ -18,11 +18,10 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, saturated
 from imuarray.errors import SensorError
 from imuarray.facts import mmc5983 as facts
-from imuarray.facts.registers import Setting
-from imuarray.log.format import SATURATED
+from imuarray.facts.registers import Register, Setting
 
 _ZERO = 1 << 17  # MMC-11
 _HIGHEST = (1 << 18) - 1
@@ -43,8 +42,9 @@ class Mmc5983(ChipDriver):
     """Driver of one MMC5983MA."""
 
     burst: ClassVar[int] = 7
+    first: ClassVar[Register] = facts.X_OUT_0  # the high sixteen bits of each axis, then the low two of all
     reading: ClassVar[slice] = slice(0, 7)
-    tells_fresh: ClassVar[bool] = False  # the done bit stays set until it is cleared: MMC-17
+    has_data_ready: ClassVar[bool] = False  # the done bit stays set until it is cleared: MMC-17
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
@@ -52,7 +52,6 @@ class Mmc5983(ChipDriver):
         self.sensitivity = sensor.spec.sensitivity[8.0]
         bandwidth_hz = sensor.chip_bandwidth_hz
         self._measured_s = _MEASURED_S[bandwidth_hz] + _MARGIN_S
-        self.watched: tuple[Setting, ...] = ()
         self._bandwidth = (
             facts.SOFT_RESET(0) | facts.YZ_OFF(0) | facts.X_OFF(0) | facts.BANDWIDTH(_BANDWIDTHS_HZ.index(bandwidth_hz))
         )
@@ -99,22 +98,17 @@ class Mmc5983(ChipDriver):
         self.configure()
         field, middle = self._flipped / self.sensitivity, self._bridge / self.sensitivity
         strength = float(np.linalg.norm(field))
-        text = f"SET and RESET differ by twice {_said(field)} gauss about {_said(middle)} gauss"
+        text = f"SET and RESET differ by twice {_text(field)} gauss about {_text(middle)} gauss"
         if np.abs(middle).max() > _BRIDGE_GAUSS or strength > _FIELD_GAUSS[1]:
             return SelfTest(False, f"{text}; allowed are {_FIELD_GAUSS[1]:g} and {_BRIDGE_GAUSS:g} gauss")
         if strength < _FIELD_GAUSS[0]:
             return SelfTest(None, f"{text}: too weak a field, or a coil that does nothing")
         return SelfTest(True, text)
 
-    def fetch(self) -> bytes:
-        """Read 0x00 ... 0x06: the high sixteen bits of each axis, then the low two of all."""
-        return self.registers.peek(facts.X_OUT_0, self.burst)
-
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 18 bits, 0 at no field; saturated where a code is the first or the last (MMC-11)."""
         counts = _counts(bursts)
-        at_end = ((counts <= -_ZERO) | (counts >= _HIGHEST - _ZERO)).any(axis=1)
-        return DecodedBursts(counts, None, np.where(at_end, SATURATED, 0).astype(np.uint16))
+        return DecodedBursts(counts, None, saturated(counts, -_ZERO, _HIGHEST - _ZERO))
 
     def header(self) -> Mapping[str, float]:
         """Return the counts of the bridges without a field, which are subtracted from readings."""
@@ -128,5 +122,5 @@ def _counts(bursts: Bytes) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
     return high + (wide[:, 6:7] >> np.array([6, 4, 2], np.int32) & 0b11) - _ZERO
 
 
-def _said(gauss: Floats) -> str:
+def _text(gauss: Floats) -> str:
     return ", ".join(f"{value:+.3f}" for value in gauss)

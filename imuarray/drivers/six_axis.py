@@ -11,6 +11,7 @@ both halves (`imuarray.drivers.six_axis_queue`).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -19,13 +20,12 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Floats
 from imuarray.bus.protocol import Bus
-from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, saturated
+from imuarray.clock import Clock
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, Limits, SelfTest, compared, saturated, words16
 from imuarray.drivers.six_axis_queue import DieQueue
-from imuarray.facts.registers import Register, Setting
+from imuarray.facts.registers import Setting
 from imuarray.log.format import SYNC_PULSE
 
-SELF_TEST_SAMPLES = 32
 INVENSENSE: Mapping[int, str] = MappingProxyType(
     {
         0x40: "an ICM-42600",
@@ -56,78 +56,88 @@ def factory_change(codes: bytes) -> Floats:
     return np.where(stored > 0, 2620 * 1.01 ** (stored - 1), 0.0)
 
 
-def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
-    """Return the readings (n, 3) before and during a self-test; the sign of axes that the test deflects downwards is
-    changed.
+@dataclass(frozen=True)
+class HalfTest:
+    """The self-test of one half of a die: `at_rest` and `deflected` are written before the two series of readings that
+    it compares. `limits` are those of the change in the unit of the test, as `allowed` says; `still` is the largest
+    standard deviation at rest. The sign of a change matters only if it `is_signed`.
     """
-    sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)
-    return before * sign, during * sign
+
+    at_rest: Setting
+    deflected: Setting
+    limits: Limits
+    allowed: str
+    still: float = 0.05
+    is_signed: bool = False
 
 
 class SixAxisHalf(ChipDriver):
     """One half of a die, `half`: "acc" or "gyro"; a chip's driver defines the place of its data and its set-up."""
 
     burst: ClassVar[int] = 14
-    tells_fresh: ClassVar[bool] = False
-    first: ClassVar[Register]
-    """Register at which a burst begins."""
-    marked: ClassVar[Register]
-    """A register without effect, which distinguishes the die from its twins."""
-    triads: ClassVar[Mapping[str, slice]]
+    has_data_ready: ClassVar[bool] = False
+    self_tests: ClassVar[Mapping[str, HalfTest]]
+    places: ClassVar[Mapping[str, slice]]
     """Place of the triad of each half in a burst."""
     temperature: ClassVar[slice]
     order: ClassVar[str] = ">i2"
+    settle_s: ClassVar[float]
+    """Settling time of the filter in a self-test."""
+    after_self_test: ClassVar[Setting | None] = None
+    """Setting that ends a self-test."""
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         self.half = sensor.chip.rpartition("_")[2]
         self.rate_hz = sensor.chip_rate_hz
         self.on_spi = sensor.on_spi
-        self.settings: tuple[Setting, ...] = ()
-        self.watched: tuple[Setting, ...] = ()
 
     @property
     def reading(self) -> slice:
         """Both triads and the thermometer: with noise in six axes, two readings are practically never equal."""
         return slice(0, 14)
 
-    def steps(self) -> Iterator[float]:
-        """Set this half up, with the common settings."""
+    def self_test_unit(self) -> Floats | float:
+        """Return the unit of the self-test in counts at its range, (3,) or one for all axes; 0 where none is known."""
         raise NotImplementedError
 
-    def mark(self, code: int) -> bool:
-        """Mark the die, with the same code by both halves."""
-        setting = self.marked[7:0](code)
-        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
-        return True
+    def self_test(self) -> SelfTest:
+        """Measure the change of the readings with the self-test on, in `self_test_unit`."""
+        test = self.self_tests[self.half]
+        self.configure()
+        unit = self.self_test_unit()
+        if not np.all(unit):
+            return SelfTest(None, "this chip holds no factory trim to compare with")
+        self.registers.write(test.at_rest)
+        before = self._readings() / unit
+        self.registers.write(test.deflected)
+        during = self._readings() / unit
+        if self.after_self_test is not None:
+            self.registers.write(self.after_self_test)
+        self.configure()
+        is_downward = (during.mean(axis=0) < before.mean(axis=0)) & (not test.is_signed)
+        sign = np.where(is_downward, -1.0, 1.0)
+        text = f"changes by {{change}} {test.allowed}"
+        return compared(before * sign, during * sign, test.limits, text, still=test.still)
 
-    def readings(self, settle_s: float) -> Floats:
-        """Return counts (n, 3) for a self-test, the first of them after `settle_s`."""
-        sleep_for(self.clock, settle_s)
-        counts = []
-        for _ in range(SELF_TEST_SAMPLES):
-            sleep_for(self.clock, 1 / self.rate_hz)
-            counts.append(np.frombuffer(self._registers_now()[self.triads[self.half]], self.order))
-        return np.asarray(np.array(counts), np.float64)
-
-    def fetch(self) -> bytes:
-        """Return both triads and the thermometer."""
-        return self._registers_now()
-
-    def _registers_now(self) -> bytes:
-        return self.registers.peek(self.first, 14)
+    def _readings(self) -> Floats:
+        """Return counts (n, 3) of this half, for a self-test."""
+        place = self.places[self.half]
+        return self.triads(
+            lambda: self.registers.peek(self.first, 14)[place], self.settle_s, 1 / self.rate_hz, order=self.order
+        )
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits."""
-        counts = np.ascontiguousarray(bursts[:, self.triads[self.half]]).view(self.order).astype(np.int16)
-        temperature = np.ascontiguousarray(bursts[:, self.temperature]).view(self.order)[:, 0].astype(np.int16)
+        counts = words16(bursts[:, self.places[self.half]], self.order)
+        temperature = words16(bursts[:, self.temperature], self.order)[:, 0]
         return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
 
 
 class QueuedHalf(SixAxisHalf):
     """One half whose die's queue is drained; another driver of the same die may `share` the queue."""
 
-    tells_fresh: ClassVar[bool] = True  # a sample in the queue is always new
+    has_data_ready: ClassVar[bool] = True  # a sample in the queue is always new
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
