@@ -33,7 +33,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import log, pi
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -131,8 +131,10 @@ def covariance(factors: tuple[int, ...], rows: int, theta: Floats) -> Floats:
     """
     sums = _sums(factors, rows)
     random, ramp = theta[:-1], theta[-1]
-    m = np.array(factors, float)
     gaussian = 2 * (sums.squares @ random @ random)
+    if not ramp:
+        return np.asarray(gaussian)
+    m = np.array(factors, float)
     return np.asarray(gaussian + 4 * ramp * np.outer(m**2, m**2) * (sums.means @ random))
 
 
@@ -213,6 +215,17 @@ _TURNS_OF_BOUND = 3
 _CONVERGED = 1e-6
 
 
+class _RunWeights(NamedTuple):
+    """Runs of `rows` rows: the `factors` at which they have terms, their `places` in a matrix over all factors, and the
+    shares in its entries of all these runs together.
+    """
+
+    rows: int
+    factors: tuple[int, ...]
+    places: tuple[npt.NDArray[np.intp], ...]
+    shares: Floats
+
+
 @dataclass(frozen=True)
 class AllanEstimate:
     """Data of the fit: Allan variances (t,) at averaging factors of a series of `rows` values every `interval_s`.
@@ -238,12 +251,19 @@ class AllanEstimate:
         return np.stack([variances(term, np.array(self.factors)) for term in TERMS], axis=1)
 
     @cached_property
-    def _weights(self) -> list[tuple[int, int, Floats]]:
-        """Length and number of the runs of each length, and the share (t,) of the terms that one of them has."""
+    def _weights(self) -> list[_RunWeights]:
+        """Return the runs of each length, with the share of the terms that one of them has."""
         runs = merge_similar(self.runs) or ((self.rows, 1),)
         terms = np.array([[max(rows + 1 - 2 * m, 0) for m in self.factors] for rows, _ in runs], float)
         total = np.array([number for _, number in runs]) @ terms
-        return [(rows, number, part / total) for (rows, number), part in zip(runs, terms, strict=True)]
+        listed = []
+        for (rows, number), part in zip(runs, terms, strict=True):
+            weights = part / total
+            points = np.flatnonzero(weights)
+            factors = tuple(self.factors[point] for point in points.tolist())
+            shares = number * np.outer(weights[points], weights[points])
+            listed.append(_RunWeights(rows, factors, np.ix_(points, points), shares))
+        return listed
 
     def whitener(self, theta: Floats) -> Floats:
         """Matrix (t, t) that makes the variances uncorrelated and of unit variance if `theta` is the truth.
@@ -282,12 +302,10 @@ class AllanEstimate:
         """
         white = np.outer(*[theta[_WHITE] * self.design[:, _WHITE]] * 2)
         covariance_ = np.zeros_like(white)
-        for rows, number, weights in self._weights:
-            points = np.flatnonzero(weights)
-            factors = tuple(self.factors[point] for point in points.tolist())
+        for rows, factors, places, shares in self._weights:
             of_factors = covariance(factors, rows, theta)
-            of_factors = of_factors + max(self.kurtosis, _LEAST_KURTOSIS) / rows * white[np.ix_(points, points)]
-            covariance_[np.ix_(points, points)] += number * np.outer(weights[points], weights[points]) * of_factors
+            of_factors = of_factors + max(self.kurtosis, _LEAST_KURTOSIS) / rows * white[places]
+            covariance_[places] += shares * of_factors
         spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design @ theta)) ** 2)
         sizes, ways = np.linalg.eigh(covariance_ / np.outer(spread, spread))
         return np.asarray((ways / np.sqrt(np.maximum(sizes, _LEAST_SIZE))).T), spread

@@ -155,24 +155,28 @@ class IntervalTally:
         if not self._typical:
             self._typical = int(np.quantile(intervals[:_TYPICAL], _QUARTILE))
             self._bin_ns = max(1, self._typical >> _FINENESS)
-        self._counts += self._binned(intervals)
+        self._add_lengths(self._counts, intervals)
         self._beyond_ns += int(intervals[intervals >= _BINS * self._bin_ns].sum())
-        jitter = np.where(intervals > GAP * self._typical, nan, intervals - float(self._typical))
+        jitter = intervals - float(self._typical)
+        jitter[intervals > GAP * self._typical] = nan
         line = np.concatenate([self._before, jitter])
-        unbroken = 0 * line[2:-1]
-        self._add(0, line[3:] * line[1:-2] + unbroken)
-        self._add(1, line[3:] * line[:-3] + unbroken + 0 * line[1:-2])
-        changes = np.abs(line[3:] - line[1:-2] + unbroken)
-        self._changes += self._binned(changes[np.isfinite(changes)])
         self._before = line[-3:]
+        second, third, changes = line[3:] * line[1:-2], line[3:] * line[:-3], np.abs(line[3:] - line[1:-2])
+        if not np.isfinite(line).all():
+            unbroken = 0 * line[2:-1]
+            second, third, changes = second + unbroken, third + unbroken + 0 * line[1:-2], changes + unbroken
+            second, third, changes = (part[np.isfinite(part)] for part in (second, third, changes))
+        self._products += [[len(second), second.sum()], [len(third), third.sum()]]
+        self._add_lengths(self._changes, changes)
 
-    def _add(self, column: int, products: Floats) -> None:
-        finite = products[np.isfinite(products)]
-        self._products[column] += len(finite), finite.sum()
-
-    def _binned(self, lengths_ns: Times | Floats) -> Times:
+    def _add_lengths(self, counts: Times, lengths_ns: Times | Floats) -> None:
+        """Count lengths in the bins of a histogram."""
         whole = lengths_ns.astype(np.int64)  # exact, and the division of integers is several times as fast
-        return np.bincount(np.minimum(whole // self._bin_ns, _BINS), minlength=_BINS + 1)
+        bins = np.minimum(whole // self._bin_ns, _BINS)
+        if len(bins):
+            first = int(bins.min())
+            occupied = np.bincount(bins - first)
+            counts[first : first + len(occupied)] += occupied
 
     def _alternation(self, variance: float) -> float:
         """Return a^2 in ns^2; 0 if it is not significant. Each covariance has a standard error of variance /
