@@ -38,6 +38,7 @@ from imuarray.atomic import whole_file
 from imuarray.errors import LogError, OutputError, OutputExistsError
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
+from imuarray.log.chunks import ColumnWriter
 from imuarray.log.columns import NamedColumn
 from imuarray.log.disk_space import free_bytes, longest_file
 from imuarray.log.format import FUSED
@@ -453,7 +454,7 @@ class _FusedColumns:
         self.events = StoredEvents(file, origin["epoch"])
         self._epoch = origin["epoch"]
         self._live = not compressed
-        self._datasets: dict[str, h5py.Dataset] = {}
+        self._writers: dict[str, ColumnWriter] = {}
 
     def append(self, block: FusedBlock) -> None:
         """Append more rows of every column. OSError."""
@@ -467,11 +468,11 @@ class _FusedColumns:
         for name in [name for name in columns if name not in self._group]:  # time first: it is a dimension of the rest
             self._create(name, columns[name])
         for name, rows in columns.items():
-            dataset = self._datasets.setdefault(name, self._group[name])
-            dataset.resize(dataset.shape[0] + len(rows), axis=0)
-            dataset[-len(rows) :] = rows
+            if name not in self._writers:
+                self._writers[name] = ColumnWriter(self._group[name])
+            self._writers[name].append(rows)
             if self._live:
-                dataset.flush()
+                self._group[name].flush()
         if self._live:
             self._file.flush()
 

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from h5py import h5a, h5t
 
 from imuarray.errors import LogError
+from imuarray.log.chunks import ColumnWriter
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
 from imuarray.log.disk_space import Allowance, sync_folder, write_errors
 from imuarray.log.format import (
@@ -143,6 +144,7 @@ class Draft:
         self._waiting: list[list[Columns]] = [[] for _ in self.groups]
         self._rows = [0] * len(self.groups)
         self._unwritten = [0] * len(self.groups)
+        self._writers: dict[int, dict[str, ColumnWriter]] = {}
         self._reserved_bytes = 0
         self._durable = durable
         sweep(path)
@@ -193,11 +195,11 @@ class Draft:
         if group.path in STIMULI:
             self._measured |= {(group.path, name) for name, values in rows.items() if np.isfinite(values[:count]).any()}
         self._end_ns = max(self._end_ns, int(rows["time"][count - 1]) + 1)
-        stored = self.file[group.path]
-        for name, values in rows.items():
-            dataset = stored[name]
-            dataset.resize(self._rows[number] + count, axis=0)
-            dataset[self._rows[number] :] = values[:count]
+        if number not in self._writers:
+            stored = self.file[group.path]
+            self._writers[number] = {name: ColumnWriter(stored[name]) for name in rows}
+        for name, writer in self._writers[number].items():
+            writer.append(rows[name][:count])
         self._rows[number] += count
         self._unwritten[number] -= count
         self._waiting[number] = [{name: values[count:] for name, values in rows.items()}]
@@ -253,6 +255,7 @@ class Draft:
 
     def _close(self) -> None:
         """Write everything except the columns, and close the file."""
+        self._writers.clear()
         for group in self.groups:
             if group.path in self.file:
                 if group.path in STIMULI:  # a quantity that was not measured has no column, instead of one of nan
