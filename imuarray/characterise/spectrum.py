@@ -67,18 +67,6 @@ class Spectrum:
         """Distance of neighbouring bins."""
         return self.rate_hz / self.segment_rows
 
-    def interval(self, confidence: float = 0.95) -> tuple[Floats, Floats]:
-        """Ends (m, k) of the interval that contains the true density with the probability `confidence`: freedom *
-        estimate / truth is chi-squared.
-        """
-        from scipy.special import chdtri, gammaincinv  # scipy.stats is slow to import
-
-        freedom = self.freedom[:, np.newaxis]
-        tail = (1 - confidence) / 2
-        return self.density * freedom / chdtri(freedom, tail), self.density * freedom / (
-            2 * gammaincinv(freedom / 2, tail)
-        )
-
 
 class Welch:
     """Adds up periodograms of `columns` series sampled at `rate_hz`; `segment_rows` is even and at least 16.

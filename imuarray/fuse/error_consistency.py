@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -23,10 +22,7 @@ from imuarray.fuse.spools import RowSource, RowSpool, row_blocks
 _FEWEST = 20
 
 _SEGMENT = 1 << 17
-"""Number of rows of one spectrum, for errors that have more rows."""
-
-_AT_ONCE = 4
-"""Largest number of segments for which one spectrum of all rows needs no more memory than those of the segments."""
+"""Largest number of rows of one spectrum."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +125,7 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
     from scipy.fft import next_fast_len
 
     rows = len(white)
-    if rows <= _AT_ONCE * _SEGMENT:
-        yield 1, _lagged_products_at_once(white[:rows], last, next_fast_len(rows + last, real=True))
-        return
-    segment = _SEGMENT
+    segment = min(_SEGMENT, rows)
     size = next_fast_len(2 * segment, real=True)
     width = size // 2 + 1
     count = -(-rows // segment)
@@ -142,6 +135,8 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
             spectra.append(np.ascontiguousarray(spectrum).view(np.float64).reshape(1, -1))
 
         def correlations(distance: int) -> Floats:
+            if distance >= count:
+                return np.zeros((3, 3, size))
             total = np.zeros((3, 3, width), complex)
             for number in range(count - distance):
                 earlier, later = (
@@ -162,23 +157,3 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
             yield (first, products) if first else (1, products[1:])
             lagged[...] = ahead[..., :segment]
             del ahead  # frees memory before the next one is computed
-
-
-def _lagged_products_at_once(white: Floats, last: int, size: int) -> Floats:
-    """Return the products of the lags from 1 to `last` by a spectrum of `size` values of each column of `white` (n, 3).
-    `size` is n + `last` or more, so that no product of rows further apart is added. The negative lags of the
-    correlation of one axis with another are the positive lags of the correlation of the other axis with the first.
-    """
-    from scipy.fft import irfft  # transforms several columns at once faster than one by one
-
-    spectra = [np.fft.rfft(column, size) for column in np.ascontiguousarray(white.T)]
-    products = np.zeros(last)
-    pairs = list(combinations_with_replacement(range(3), 2))
-    for at in range(0, len(pairs), 2):
-        some = pairs[at : at + 2]
-        lagged = irfft(np.stack([spectra[first].conj() * spectra[second] for first, second in some]), size)
-        for (first, second), of_pair in zip(some, lagged, strict=True):
-            products += of_pair[1 : last + 1] ** 2
-            if first != second:
-                products += of_pair[: -last - 1 : -1] ** 2
-    return products

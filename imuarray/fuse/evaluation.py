@@ -442,12 +442,10 @@ def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int6
     if len(times) < 2:
         return {quantity: np.full((len(time), 3), np.nan) for quantity in measured}
     gap_ns = 5 * float(np.median(np.diff(times)))
-    rows = {quantity: np.asarray(column[first:last], float) for quantity, column in measured.items()}
-    together = np.concatenate([*rows.values(), np.zeros((len(times), 0))], axis=1)
-    if not np.isfinite(together).all():  # a gap of one quantity is not a gap of the other
-        return {quantity: between_gaps(times, values, time, gap_ns) for quantity, values in rows.items()}
-    truth = between_gaps(times, together, time, gap_ns)
-    return {quantity: truth[:, 3 * place : 3 * place + 3] for place, quantity in enumerate(rows)}
+    return {
+        quantity: between_gaps(times, np.asarray(column[first:last], float), time, gap_ns)
+        for quantity, column in measured.items()
+    }
 
 
 BLOCKS = 20

@@ -59,10 +59,6 @@ class ConstantGain:
         return triads.T
 
 
-_PAIRED = 4096
-"""Number of frames for which the products of (1, X, Y, Z) are computed at once."""
-
-
 def _pairs(triads: Floats) -> Floats:
     """Return the products (16, n) of (1, X, Y, Z) of triads (n, 3) with each other."""
     ones = np.concatenate([np.ones((1, len(triads))), triads.T])
@@ -102,11 +98,7 @@ class SlowErrors:
             compiled = compiled_frames.quadratic(factors[_FIRST].T + factors[_SECOND].T * _TWICE, triads.T)
             if compiled is not None:
                 return compiled.T
-            result = np.empty((6, len(triads)))
-            for start in range(0, len(triads), _PAIRED):  # so few that their products stay in the cache
-                part = slice(start, start + _PAIRED)
-                np.matmul(factors.T, _pairs(triads[part]), out=result[:, part])
-            return result.T
+            return (factors.T @ _pairs(triads)).T
         pairs = _pairs(triads)
         errors = (pairs.T @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
         return entries(gains @ errors @ np.swapaxes(gains, 1, 2))
@@ -239,10 +231,6 @@ def _solve_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.
 
 def spans(normal: Floats) -> npt.NDArray[np.bool_]:
     """Return (...) whether axes with these normal matrices (..., 3, 3) determine a triad."""
-    if normal.ndim == 2:  # cofactors are several times faster than a factorisation
-        (a, b, c), (d, e, f), (g, h, i) = normal.tolist()
-        determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-        return np.asarray(determinant > 1e-9 * max(a + e + i, 1e-300) ** 3)
     size = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-300)
     return np.asarray(np.linalg.det(normal) > 1e-9 * size**3)
 

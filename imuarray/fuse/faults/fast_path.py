@@ -19,7 +19,7 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import AGREES
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, QUIET, DriftLimits, least_energy_limit
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, QUIET, DriftLimits, energy_limit
 from imuarray.fuse.faults.window import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, NormalModel, Parity, slopes
 
 try:
@@ -82,7 +82,9 @@ class WindowSeries:
         own = np.where(white.observable, white.matrix.diagonal(), np.inf)
         self._precision = 1 / (own * variance**2)
         self._share = np.asarray(white.matrix.diagonal() * variance)
-        self._limit = least_energy_limit(self._frames)
+        # the least limit of an energy: that of white noise, or of a lasting error if that is less
+        by_noise = float(energy_limit(self._frames, np.ones(1), np.zeros(1))[0])
+        self._limit = min(by_noise, self._frames * AXIS_GAIN)
         normal = rows[self.included].T @ rows[self.included]
         self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
 

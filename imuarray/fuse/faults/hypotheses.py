@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
@@ -205,8 +204,6 @@ def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 
     `disagreement` is the variance of single readings (SI) by which the sensors differ from each other beyond noise in
     this window.
     """
-    if _is_quiet(seen):
-        return None
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)
     if disagreement > 0:
@@ -222,20 +219,6 @@ def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 
         return _by_energy(energy, limit)
     return _by_mean(axis, sensor, seen)
 
-
-def _is_quiet(seen: WindowResiduals) -> bool:
-    """Return whether bounds, which are faster than the gains, show that a window has no fault: the gain of an error of
-    an axis or a sensor is at most the sum of squares of the means, and an energy is at most that over the noise alone.
-    """
-    if not float(seen.means @ seen.slow.matrix @ seen.means) < _CERTAINLY * AXIS_GAIN:
-        return False
-    precision = np.where(seen.white.observable, seen.white.matrix.diagonal(), 0.0)
-    most = float((seen.deleted_squares * precision).max())
-    return most < _CERTAINLY * least_energy_limit(len(seen.triad))
-
-
-_CERTAINLY = 1 - 1e-6
-"""Share of a limit below which rounding does not matter."""
 
 _FEWEST_SENSORS = 4
 """Fewest sensors by which a common change can be distinguished from a change of a single sensor."""
@@ -319,12 +302,6 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     nats = _ENERGY_NATS * colour
     by_noise = frames + 2 * np.sqrt(frames * nats) + 2 * nats
     return np.asarray((1 - lasting) * by_noise + lasting * frames * AXIS_GAIN)
-
-
-@lru_cache(maxsize=64)
-def least_energy_limit(frames: int) -> float:
-    """Return the lower bound of `energy_limit`: that of white noise, or of a lasting error if that is less."""
-    return float(min(energy_limit(frames, np.ones(1), np.zeros(1))[0], frames * AXIS_GAIN))
 
 
 def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:

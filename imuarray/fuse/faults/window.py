@@ -408,25 +408,20 @@ class WindowResiduals:
         variances = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)
         return np.asarray(self.doubt + variances)
 
-    @cached_property
-    def deleted_squares(self) -> Floats:
-        """Sum of squares (m,) of each axis's deleted residual about its mean."""
-        centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
-        squares: Floats = (centred @ self.white.deleted.T) ** 2
-        return np.asarray(squares.sum(axis=0))
-
     def energies(self, normal: NormalModel) -> tuple[Floats, Floats]:
         """Return the sum of squares (m,) of each included axis's deleted residual about its mean, over its variance;
         and the share (m,) of that variance that is uncertainty of the calibration and thus equal in all readings.
         """
         deleted = self.white.deleted
+        scatter = np.where(self.residual == 0, 0.0, self.residual - self.means)
+        squares = np.asarray((scatter @ deleted.T) ** 2).sum(axis=0)
         noise = np.where(
             self.white.observable, 1 / np.where(self.white.observable, self.white.matrix.diagonal(), 1.0), np.inf
         )
         centred = self.regressors - self.regressors.mean(axis=1, keepdims=True)
         doubt = deleted**2 @ normal.doubt_within(centred)
         noise = noise + deleted**2 @ normal.jitter(self.regressors)
-        return self.deleted_squares / (noise + doubt), doubt / (noise + doubt)
+        return squares / (noise + doubt), doubt / (noise + doubt)
 
 
 def window_residuals(

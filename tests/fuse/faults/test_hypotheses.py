@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from imuarray.arrays import Floats
-from imuarray.fuse.faults import hypotheses
 from imuarray.fuse.faults.hypotheses import disagreement, strongest, unresolved_motion
 from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 from tests.selection import some
@@ -68,31 +67,6 @@ def test_a_single_wrong_reading_is_a_fault_of_its_sensor(sensor: int) -> None:
     assert disagreement(seen, normal) == 0
     suspect = strongest(seen, normal)
     assert suspect is not None and suspect.axes == (3 * sensor + 1,) and suspect.rivals == ()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sizes", some([3, 12], 1))
-def test_the_bounds_hide_no_fault(sizes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Readings of each axis with increasing errors: with and without the bounds the verdict is the same; small errors
-    are within the bounds, large ones are not.
-    """
-    results = []
-    for bounded in (True, False):
-        if not bounded:
-            monkeypatch.setattr(hypotheses, "_is_quiet", lambda seen: False)
-        verdicts = []
-        for axis, size in enumerate(np.linspace(0.0, 40.0, sizes)):
-            off = np.zeros(24)
-            off[2 * axis] = size
-            verdicts.append(strongest(*window_of(off)))
-        results.append(verdicts)
-    assert results[0] == results[1]
-    assert results[0][0] is None and results[0][-1] is not None
-
-
-def test_the_bounds_accept_a_normal_window() -> None:
-    seen, _ = window_of(np.zeros(24))
-    assert hypotheses._is_quiet(seen)
 
 
 def shaken_variance(frequency_hz: float, period_s: float, peak: float = 100.0) -> float:
