@@ -7,7 +7,7 @@ import pytest
 
 from imuarray import series
 from imuarray.calibrate.pose_readings import _add_windows
-from imuarray.characterise.allan_stream import sums_of_squares
+from imuarray.characterise.allan import sums_of_squares
 from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.lines import _median
 

@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 from imuarray.callable_package import make_callable, public_name
 
 if TYPE_CHECKING:
-    from imuarray.characterise.allan import AllanCurve, AllanStream, allan_deviation
+    from imuarray.characterise.allan import AllanStream, allan_deviation
+    from imuarray.characterise.allan_curve import AllanCurve
     from imuarray.characterise.allan_fit import NoiseFit, fit_noise
     from imuarray.characterise.characterisation import Characterisation, Coefficient, render_text
     from imuarray.characterise.noise import NoiseStatistics, noise_statistics
     from imuarray.characterise.result import characterise_log
 
 _PUBLIC = {
-    "allan": "AllanCurve AllanStream allan_deviation",
+    "allan": "AllanStream allan_deviation",
+    "allan_curve": "AllanCurve",
     "allan_fit": "NoiseFit fit_noise",
     "characterisation": "Characterisation Coefficient render_text",
     "noise": "NoiseStatistics noise_statistics",

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.characterise.alignment import find_alignment
-from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
-from imuarray.characterise.allan_curve import floor, white_noise
+from imuarray.characterise.allan import Estimator
+from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve, floor, white_noise
 from imuarray.characterise.allan_fit import fit_noise
 from imuarray.characterise.bands import find_bands
 from imuarray.characterise.codes import code_density, find_rails

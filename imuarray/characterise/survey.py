@@ -28,8 +28,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
-from imuarray.characterise.allan import AllanCurve, Estimator, allan_deviation_of_runs
-from imuarray.characterise.allan_stream import AllanStream
+from imuarray.characterise.allan import AllanStream, Estimator, allan_deviation_of_runs
+from imuarray.characterise.allan_curve import AllanCurve
 from imuarray.characterise.codes import NOTHING, Histogram, histogram
 from imuarray.characterise.correlation import Autocorrelation, Autocovariance
 from imuarray.characterise.repeats import Repeats, RepeatTally

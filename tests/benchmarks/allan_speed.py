@@ -15,7 +15,7 @@ import numpy as np
 from compare import Row, row
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan import octaves
+from imuarray.characterise.allan_curve import octaves
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # allantools warns of its own dependencies when it is imported

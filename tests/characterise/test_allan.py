@@ -15,7 +15,8 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import binom
 
 from imuarray.characterise import allan_deviation
-from imuarray.characterise.allan import allan_deviation_of_runs, octaves
+from imuarray.characterise.allan import allan_deviation_of_runs
+from imuarray.characterise.allan_curve import octaves
 from imuarray.characterise.allan_fit import fit_noise
 
 with warnings.catch_warnings():

@@ -12,7 +12,7 @@ import pytest
 from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import COLOURS, FIGURES
 from imuarray.characterise.plots.codes import bars, marks
-from imuarray.characterise.plots.spectrum import bands, interval, line_label
+from imuarray.characterise.plots.curves import bands, interval, line_label
 from imuarray.errors import MissingExtraError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader

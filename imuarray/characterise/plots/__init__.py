@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from imuarray.characterise.plots.allan import allan_figure
-from imuarray.characterise.plots.autocorrelation import autocorrelation_figure
 from imuarray.characterise.plots.codes import histogram_figure
+from imuarray.characterise.plots.curves import allan_figure, autocorrelation_figure, spectrum_figure
 from imuarray.characterise.plots.frame import COLOURS
-from imuarray.characterise.plots.spectrum import spectrum_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -3,7 +3,7 @@
 Windows begin at every quarter of the averaging time, and all axes are computed at once. Sums over two, four, ... rows
 are sums of pairs of the previous sums, so whole numbers stay exact.
 
-`imuarray.characterise.allan_stream` also computes confidence limits. Here only the values are needed, thousands of
+`imuarray.characterise.allan` also computes confidence limits. Here only the values are needed, thousands of
 times, and for short series its identification of noise types would take longer than the variances.
 """
 
