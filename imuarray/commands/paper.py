@@ -11,7 +11,8 @@ from imuarray.atomic import write_text
 from imuarray.commands.options import PathName, force_option, json_option, prepare_folder, print_json, progress
 
 if TYPE_CHECKING:
-    from imuarray.studies.paper.replica import ExperimentData, Replica
+    from imuarray.studies.paper.replica.simulation import ExperimentData
+    from imuarray.studies.paper.replica.statistic import Replica
 
 _NO_FIGURES = "; no figures, they need matplotlib: pip install 'imuarray[report]'"
 _REPLICA_FILES = ("replica.json", "paper.html")
@@ -68,7 +69,9 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
 
 def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
     """Simulate the experiments of the paper, and compare the results with its tables."""
-    from imuarray.studies.paper.replica import Replica, compare, observe, render_text
+    from imuarray.studies.paper.replica.comparison import compare
+    from imuarray.studies.paper.replica.simulation import observe
+    from imuarray.studies.paper.replica.statistic import Replica, render_text
 
     if output:
         prepare_folder(output, _REPLICA_FILES, force)
@@ -109,13 +112,12 @@ def _write_replica(folder: Path, replica: Replica, observed: ExperimentData) -> 
 
     from imuarray.errors import MissingExtraError
     from imuarray.studies.paper.page import write_paper_page
-    from imuarray.studies.paper.replica import curves_of
     from imuarray.studies.paper.results import can_draw
 
     numbers, page = (folder / name for name in _REPLICA_FILES)
     write_text(numbers, json.dumps(replica.as_json(), indent=1, allow_nan=False) + "\n", force=True)
     try:
-        write_paper_page(page, replica, curves_of(observed) if can_draw() else None, force=True)
+        write_paper_page(page, replica, observed if can_draw() else None, force=True)
     except MissingExtraError as error:
         click.echo(f"{folder}: replica.json written; no page: {error}", err=True)
         return

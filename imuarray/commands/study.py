@@ -25,7 +25,7 @@ from imuarray.commands.options import (
 from imuarray.spelling import guess
 
 if TYPE_CHECKING:
-    from imuarray.studies.fusion_gain import Study
+    from imuarray.studies.fusion_gain.gain_study import Study
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion", "shaking")
 """Experiments of `imuarray.studies.fusion_gain`, repeated here because that module imports NumPy."""
@@ -84,7 +84,7 @@ def command(options: StudyOptions) -> None:
         _run_numbers(options)
         return
     from imuarray.gap.model.workers import processes
-    from imuarray.studies.fusion_gain import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
+    from imuarray.studies.fusion_gain.gain_study import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
 
     names = tuple(dict.fromkeys(options.experiments))
     if not names or set(names) - set(EXPERIMENTS):
@@ -113,8 +113,8 @@ def _run_numbers(options: StudyOptions) -> None:
     """Study the gain from the number and the mounting of an array's gyroscopes, and print the result."""
     from imuarray.array import load_array
     from imuarray.shipped import find_config
-    from imuarray.studies.fusion_gain import QUICK_SEEDS, SEEDS
     from imuarray.studies.fusion_gain.chip_number import render_numbers, study_numbers
+    from imuarray.studies.fusion_gain.gain_study import QUICK_SEEDS, SEEDS
 
     if options.output is not None:
         raise click.UsageError("--output can't be combined with --array, whose result is printed (--json: as JSON)")

@@ -8,6 +8,7 @@ polled; queues are switched off, because the demonstration needs few samples.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,10 +77,12 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, report: Rep
     logs, tumble, calibration = record_and_fuse(polled, folder, options, report)
     errors = [error for run in _RUNS for error in errors_in(run, logs[run], calibration)]
     diagnosis, noise = diagnose_rest(logs["static"], folder, one_of_each(array), options.seed, report)
+    counts = Counter(sensor.chip for sensor in array.sensors)
+    chips = ", ".join(f"{number} {chip}" for chip, number in counts.items())  # "8 icm42688_acc, 8 icm42688_gyro"
     parts = [
         errors_section(errors),
         heating_section(logs["heating"], calibration),
-        recorded_section(logs, f"The array {array.name}, emulated register by register: {chips_text(array)}."),
+        recorded_section(logs, f"The array {array.name}, emulated register by register: {chips}."),
         calibration_section(tumble),
         noise_section(noise),
         gap_section(diagnosis),
@@ -94,12 +97,6 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, report: Rep
 def polled_text(array: ArrayConfig) -> str:
     """Return the configuration of the array without the queues of its chips."""
     return re.sub(r"\bfifo(\s*=\s*)true\b", r"fifo\1false", array.text)
-
-
-def chips_text(array: ArrayConfig) -> str:
-    """Return the number of sensors of each chip: "8 icm42688_acc, 8 icm42688_gyro"."""
-    chips = [sensor.chip for sensor in array.sensors]
-    return ", ".join(f"{chips.count(chip)} {chip}" for chip in dict.fromkeys(chips))
 
 
 def one_of_each(array: ArrayConfig) -> tuple[str, ...]:
@@ -176,18 +173,9 @@ def errors_section(errors: list[ArrayError]) -> Section:
         single = factor * np.array(list(error.single.values()))
         fused = [f"{factor * error.fused[technique]:.4f}" for technique in TECHNIQUES]
         range_texts = [f"{np.median(single):.4f}", f"{single.min():.4f} to {single.max():.4f}"]
-        count = len(error.single)
-        rows.append(
-            [
-                f"{error.quantity.replace('_', ' ')}, {_RUNS[error.run]}",
-                str(count),
-                *range_texts,
-                *fused,
-                unit,
-                f"{error.ratio('mean'):.3f}",
-                f"{count**-0.5:.3f}",
-            ]
-        )
+        name, count = f"{error.quantity.replace('_', ' ')}, {_RUNS[error.run]}", len(single)
+        ratios = [f"{error.ratio('mean'):.3f}", f"{count**-0.5:.3f}"]
+        rows.append([name, str(count), *range_texts, *fused, unit, *ratios])
     columns = ["quantity, run", "sensors", "one (median)", "one (range)", *TECHNIQUES, "unit", "mean / one", "1/√n"]
     return Section(
         "What the array gains over one sensor",

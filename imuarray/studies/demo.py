@@ -191,27 +191,11 @@ def recorded_section(logs: Mapping[str, Path], lead: str = ABOUT_PAPERS_ARRAY) -
         with open_log(path) as log:
             seconds = max((int(s.time[-1]) for s in log.sensors.values()), default=0) * 1e-9
             readings = sum(len(sensor) for sensor in log.sensors.values())
-            rows.append(
-                [
-                    run,
-                    f"{seconds:.0f}",
-                    f"{readings}",
-                    ", ".join(phase.name for phase in log.phases),
-                    str(len(log.events)),
-                ]
-            )
-    return Section(
-        "What was recorded",
-        f"{lead} Every log holds raw counts.",
-        [
-            Table(
-                ["run", "seconds", "readings", "phases", "events"],
-                rows,
-                "One log per run; all of them are beside this page.",
-                (3,),
-            )
-        ],
-    )
+            phases = ", ".join(phase.name for phase in log.phases)
+            rows.append([run, f"{seconds:.0f}", f"{readings}", phases, str(len(log.events))])
+    caption = "One log per run; all of them are beside this page."
+    table = Table(["run", "seconds", "readings", "phases", "events"], rows, caption, (3,))
+    return Section("What was recorded", f"{lead} Every log holds raw counts.", [table])
 
 
 def calibration_section(tumble: TumbleResult) -> Section:
@@ -226,18 +210,13 @@ def calibration_section(tumble: TumbleResult) -> Section:
             measured = sensor.response_sem_lsb_per_unit is not None
             scale = f"{sensor.scale_lsb_per_unit[axis]:.2f}" if measured else "data sheet"
             rows.append([f"{name} {'xyz'[axis]}", f"{bias:.3f}", f"{error:.2g}", unit, scale])
-    return Section(
-        "Calibration from six faces",
+    words = (
         "Bias and response of every axis from six faces of the box (the paper's Appendix B), gyroscope bias from all "
-        "seven readings. The standard errors come from the scatter of batch means.",
-        [
-            Table(
-                ["axis", "bias", "standard error", "unit", "scale factor (LSB/g or LSB/dps)"],
-                rows,
-                "Compare with the paper's Tables 3 and 4." if {*BMA180S} <= {*tumble.calibration.sensors} else "",
-            )
-        ],
+        "seven readings. The standard errors come from the scatter of batch means."
     )
+    heading = ["axis", "bias", "standard error", "unit", "scale factor (LSB/g or LSB/dps)"]
+    caption = "Compare with the paper's Tables 3 and 4." if {*BMA180S} <= {*tumble.calibration.sensors} else ""
+    return Section("Calibration from six faces", words, [Table(heading, rows, caption)])
 
 
 def noise_section(noise: dict[str, Any]) -> Section:
@@ -248,29 +227,17 @@ def noise_section(noise: dict[str, Any]) -> Section:
             continue
         factor, unit = READABLE[sensor["unit"]]
         for axis in sensor["axes"]:
-            density = axis["unit"]["noise_density"]
-            scatter = factor * axis["unit"]["std"]
-            rows.append(
-                [
-                    f"{sensor['name']} {axis['axis']}",
-                    f"{scatter:.3f}",
-                    unit,
-                    "-" if density is None else f"{factor * density:.4f}",
-                    f"{unit}/√Hz",
-                    f"{axis['even_share']:.2f}",
-                ]
-            )
+            name, own = f"{sensor['name']} {axis['axis']}", axis["unit"]
+            density = "-" if own["noise_density"] is None else f"{factor * own['noise_density']:.4f}"
+            scatter, even = f"{factor * own['std']:.3f}", f"{axis['even_share']:.2f}"
+            rows.append([name, scatter, unit, density, f"{unit}/√Hz", even])
+    caption = "Per axis, by the data sheets' sensitivities."
     return Section(
         "Noise",
         "Scatter of single readings and white-noise density from the long rest. A share of even "
-        "codes of 1.00 betrays a chip "
-        "that outputs even codes only, as the ADXL345 does at 1600 and 3200 Hz.",
+        "codes of 1.00 betrays a chip that outputs even codes only, as the ADXL345 does at 1600 and 3200 Hz.",
         [
-            Table(
-                ["axis", "std", "unit", "density", "unit", "even codes"],
-                rows,
-                "Per axis, by the data sheets' sensitivities.",
-            ),
+            Table(["axis", "std", "unit", "density", "unit", "even codes"], rows, caption),
             Figure(
                 allan_figure(noise),
                 "Allan deviation: straight lines of slope -1/2 are white noise; a curve that flattens shows drift.",
@@ -278,11 +245,6 @@ def noise_section(noise: dict[str, Any]) -> Section:
             ),
         ],
     )
-
-
-def _error_text(error: float) -> str:
-    """Return a standard error of a ratio with one significant digit."""
-    return "< 0.0001" if error < 1e-4 else f"{error:.1g}"
 
 
 def gain_section(rows: Rows) -> Section:
@@ -299,7 +261,8 @@ def gain_section(rows: Rows) -> Section:
         axis = "" if gain.box_axis == "XYZ" else f" {_DIRECTION[gain.quantity]} {gain.box_axis}"
         name = f"{case.label}: {gain.quantity.replace('_', ' ')}{axis}"
         figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]
-        table.append([name, *figures, f"{gain.ratio:.3f}", _error_text(gain.ratio_se)])
+        deviation = "< 0.0001" if gain.ratio_se < 1e-4 else f"{gain.ratio_se:.1g}"
+        table.append([name, *figures, f"{gain.ratio:.3f}", deviation])
         labels.append(name)
         ratios.append(gain.ratio)
         errors.append(gain.ratio_se)
@@ -333,14 +296,12 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
     return Section(
         "Heated: opposed gyroscopes",
         "The hair dryer heats the box by 28 degrees. About box Y one gyroscope points along and two "
-        "against the axis, and all "
-        "three drift alike in their own frames.",
+        "against the axis, and all three drift alike in their own frames.",
         [
             Figure(
                 figure,
                 "Five-second means of the error about box Y: every single gyroscope drifts, their "
-                "average keeps part of it, "
-                "opposing them takes out what they share.",
+                "average keeps part of it, opposing them takes out what they share.",
                 "Drift of single gyroscopes, their average and the opposed result while the box is heated",
             )
         ],

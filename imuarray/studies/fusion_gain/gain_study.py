@@ -20,7 +20,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -65,18 +64,14 @@ def perpendicular() -> ArrayConfig:
     return parse_array(tomli_w.dumps(table), "perpendicular")
 
 
-ARRAYS: Mapping[str, Callable[[], ArrayConfig]] = MappingProxyType(
-    {"martin2013": martin2013, "perpendicular": perpendicular}
-)
+ARRAYS: Mapping[str, Callable[[], ArrayConfig]] = {"martin2013": martin2013, "perpendicular": perpendicular}
 """Arrays by name."""
 
-SETS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "all": ("martin2013", ()),
-        "4 BMA180": ("martin2013", ("BMA1", "BMA2", "BMA3", "BMA4")),
-        "2 ADXL345": ("perpendicular", ("ADXL1", "ADXL2")),
-    }
-)
+SETS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "all": ("martin2013", ()),
+    "4 BMA180": ("martin2013", ("BMA1", "BMA2", "BMA3", "BMA4")),
+    "2 ADXL345": ("perpendicular", ("ADXL1", "ADXL2")),
+}
 """A set of sensors that is fused: the array and the names of its sensors (none: all). The angular rate of "all" is that
 of Gyro1, Gyro2 and Gyro3, and its specific force that of all six accelerometers.
 """
@@ -100,7 +95,7 @@ SLOPES = "measured"
 NO_SLOPES = "no slopes"
 TRUE = "true"
 
-RANGES: Mapping[str, Mapping[float, float]] = MappingProxyType({name: spec.sensitivity for name, spec in CHIPS.items()})
+RANGES: Mapping[str, Mapping[float, float]] = {name: spec.sensitivity for name, spec in CHIPS.items()}
 
 
 def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: Collection[str]) -> Simulation:
@@ -130,7 +125,7 @@ def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
         calibration = calibrate_tumble(tumble).calibration.merged(calibrate_noise(tumble))
         calibration = calibration.merged(calibrate_turn_on(boots, RANGES)[0])
         slopes = calibrate_thermal(recorded("heating", HEATING_S, BOOTS + 1)).calibration
-        return MappingProxyType({NO_SLOPES: calibration, SLOPES: calibration.merged(slopes)})
+        return {NO_SLOPES: calibration, SLOPES: calibration.merged(slopes)}
 
 
 CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
@@ -158,16 +153,14 @@ class StudyExperiment:
     is_bounded: bool = True
 
 
-EXPERIMENTS: Mapping[str, StudyExperiment] = MappingProxyType(
-    {
-        "static": StudyExperiment("static", 300.0),
-        "tumble": StudyExperiment("tumble", 300.0),
-        "heating": StudyExperiment("heating", 660.0),
-        "turn-on": StudyExperiment("turn-on", 75.0, boots=4),
-        "motion": StudyExperiment("motion", 120.0, "vehicle"),
-        "shaking": StudyExperiment("motion", 120.0, "hand", is_bounded=False),
-    }
-)
+EXPERIMENTS: Mapping[str, StudyExperiment] = {
+    "static": StudyExperiment("static", 300.0),
+    "tumble": StudyExperiment("tumble", 300.0),
+    "heating": StudyExperiment("heating", 660.0),
+    "turn-on": StudyExperiment("turn-on", 75.0, boots=4),
+    "motion": StudyExperiment("motion", 120.0, "vehicle"),
+    "shaking": StudyExperiment("motion", 120.0, "hand", is_bounded=False),
+}
 """Experiments by name. "heating" is the paper's profile in a tenth of its time, with the full rise of 28 degC."""
 
 
@@ -234,17 +227,14 @@ def _of_boot(
                     slopes_used = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
                     for slopes in slopes_used:
                         calibration, _ = start_up_states(log, calibrations[slopes], ranges)
-                        yield from _compared(log, calibration, names, partial(label, calibration=slopes))
+                        for technique, blocks in _results(log, calibration, names).items():
+                            of_technique = partial(label, calibration=slopes, technique=technique)
+                            yield from _errors_of(error_frames(log, blocks()), of_technique, {})
                 else:
                     yield from _compare_with_bound(log, simulation, names, partial(label, calibration=TRUE))
 
 
 Label = Callable[..., RunErrors]
-
-
-def _compared(log: Log, calibration: Calibration, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
-    for technique, blocks in _results(log, calibration, names).items():
-        yield from _errors_of(error_frames(log, blocks()), partial(label, technique=technique), {})
 
 
 def _results(
@@ -322,8 +312,6 @@ Progress = Callable[[int, int, str], None]
 SEEDS = 6
 QUICK_SEEDS, QUICK_S = 2, 80.0
 
-Job = tuple[str, int, float | None]
-
 
 @dataclass(frozen=True)
 class GainRow:
@@ -386,17 +374,14 @@ def study(
     """Return every technique in these experiments with seeds 1 ... `seeds`; `executor` distributes the runs, without
     effect on the result. `seconds` replaces the length of every log.
     """
-    jobs: list[Job] = [(name, seed, seconds) for seed in range(1, seeds + 1) for name in experiments]
+    jobs = [(name, seed) for seed in range(1, seeds + 1) for name in experiments]
+    names, numbers = [name for name, _ in jobs], [seed for _, seed in jobs]
+    work = (executor.map if executor else map)(partial(run, seconds=seconds), names, numbers)
     measured: list[RunErrors] = []
-    for done, (job, rows) in enumerate(zip(jobs, (executor.map if executor else map)(_run_job, jobs), strict=True), 1):
+    for done, ((name, seed), rows) in enumerate(zip(jobs, work, strict=True), 1):
         measured += rows
-        progress(done, len(jobs), f"{job[0]}, seed {job[1]}")
+        progress(done, len(jobs), f"{name}, seed {seed}")
     return Study(tuple(rows_of(measured)), tuple(range(1, seeds + 1)), seconds)
-
-
-def _run_job(job: Job) -> list[RunErrors]:
-    """Carry out one job; a function of the module, so that another process can import it."""
-    return run(*job)
 
 
 def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
@@ -472,8 +457,10 @@ def _lines(study: Study) -> Iterator[str]:
         yield _HEAD
         for quantity in INERTIAL:
             vectors = [row for row in rows if row.quantity == quantity and row.box_axis == "XYZ"]
-            for row in [row for row in vectors if row.measure == "rms" and _shows(row)]:
-                yield _vector_line(row, next(r for r in vectors if _same(r, row) and r.measure == "drift"))
+            for row in [row for row in vectors if row.measure == "rms" and is_shown(row)]:
+                yield _vector_line(
+                    row, next(r for r in vectors if r.technique == row.technique and r.measure == "drift")
+                )
         yield from _coasting_lines([row for row in rows if not row.quantity])
 
 
@@ -482,12 +469,9 @@ def changed(row: GainRow) -> bool:
     return abs(row.over_mean.ratio - 1) > _NEGLIGIBLE
 
 
-def _shows(row: GainRow) -> bool:
+def is_shown(row: GainRow) -> bool:
+    """Return whether a row is of the average or of a technique that changes its result."""
     return row.technique == AVERAGE or changed(row)
-
-
-def _same(row: GainRow, other: GainRow) -> bool:
-    return row.technique == other.technique
 
 
 def _vector_line(row: GainRow, drift: GainRow) -> str:
@@ -505,8 +489,8 @@ def _vector_line(row: GainRow, drift: GainRow) -> str:
 
 def _coasting_lines(rows: Sequence[GainRow]) -> Iterator[str]:
     for row in [row for row in rows if row.measure == "heading"]:
-        velocity = next(other for other in rows if other.measure == "velocity" and _same(other, row))
-        if _shows(row) or changed(velocity):
+        velocity = next(r for r in rows if r.technique == row.technique and r.measure == "velocity")
+        if is_shown(row) or changed(velocity):
             yield (
                 f"  {row.technique:15} after 60 s: heading {row.value:.3f} deg, {interval_text(row.over_mean)};"
                 f" velocity {velocity.value:.3f} m/s, {interval_text(velocity.over_mean)}"

@@ -38,6 +38,7 @@ from imuarray.studies.fusion_gain.gain_study import (
     Study,
     changed,
     interval_text,
+    is_shown,
     measured,
     simulated,
 )
@@ -201,7 +202,7 @@ def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     """Return the figures that have rows, by file name; MissingExtraError without matplotlib."""
     vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
     bounded = study.of(measure="rms", box_axis="XYZ", calibration="true")
-    bounded = [row for row in bounded if row.technique != SMOOTHED and (row.technique == AVERAGE or changed(row))]
+    bounded = [row for row in bounded if row.technique != SMOOTHED and is_shown(row)]
     ends = [row for row in study.of(calibration="measured", quantity="") if changed(row)]
     panels = {
         "ratios.png": (_by_sensors(vectors), "over_mean"),
@@ -318,16 +319,14 @@ def _section(study: Study, experiment: str) -> Section:
     rows = study.of(experiment=experiment)
     tables = []
     for calibration in dict.fromkeys(row.calibration for row in rows):
-        lines = [_line(row) for row in rows if row.calibration == calibration and _is_stated(row)]
+        lines = [
+            _line(row) for row in rows if row.calibration == calibration and row.measure != "noise" and is_shown(row)
+        ]
         heading = ["technique", "sensors", "what", "axis", "value", "unit", "over the average", "over the bound"]
         tables.append(Table(heading, lines, f"{experiment}: {WORDS[calibration]}.", (1, 2, 3, 5)))
     count = sum(len(table.rows) for table in tables)
     words = "Every technique that changes something, axis by axis."
     return Section(experiment, words, tables, fold=f"{count} rows in {counted(len(tables), 'table')}")
-
-
-def _is_stated(row: GainRow) -> bool:
-    return row.measure != "noise" and (row.technique == AVERAGE or changed(row))
 
 
 def _line(row: GainRow) -> list[str]:

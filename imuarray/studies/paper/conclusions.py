@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from math import atan2, comb, degrees, dist
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from imuarray.studies.paper.systematic import (
     READINGS,
@@ -33,6 +33,7 @@ from imuarray.studies.paper.systematic import (
     table4,
 )
 from imuarray.studies.paper.tables import (
+    BMA180_LSB_PER_G,
     Formula,
     RecomputedRow,
     channels,
@@ -71,10 +72,6 @@ class Statement:
     evidence: str
     holds: bool
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the three fields under their names."""
-        return {"claim": self.claim, "evidence": self.evidence, "holds": self.holds}
-
 
 def figure(value: float | Decimal, digits: int) -> str:
     """Return a number for an evidence sentence, with a fixed number of decimals and no negative zero."""
@@ -87,7 +84,7 @@ _ADXL = ("ADXL1", "ADXL2")
 _GYROS = ("Gyro1", "Gyro2", "Gyro3")
 _STEADY_BMA = ("BMA2", "BMA3", "BMA4")
 """The sensors of turn-on figures. BMA1 is omitted, as in the paper, because one of its runs is a boot fault."""
-_STATED_STATES = ((0.0, 69.0, 2.0), (-13.0, 75.0, 0.0))
+_STATED_STATES = (("0", "69", "2"), ("-13", "75", "0"))
 """Section 5.2.4, Gyro3's two sets of biases in counts."""
 _RANGES = {"BMA": ("1.5g", "16g"), "Gyro": ("250dps", "2k dps")}
 
@@ -153,8 +150,7 @@ def _not_every_pair() -> Statement:
     return Statement(
         "5.2.5, 6.1: how well a pair cancels is a matter of the pair; not every one is as good as the y axes",
         f"Gyro1/Gyro2 y drift {figure(y.reduction, 0)} times less than one alone, z "
-        f"{figure(z.reduction, 0)} times less; "
-        "criterion: z cancels less than half as well as y",
+        f"{figure(z.reduction, 0)} times less; criterion: z cancels less than half as well as y",
         2 * z.reduction < y.reduction,
     )
 
@@ -194,8 +190,7 @@ def _adxl_planes() -> Statement:
     return Statement(
         "6.2: the ADXL345's z axis has about double the noise, far more temperature drift and less stable bias",
         f"z over the mean of x and y: noise {_pair_text(noise)}, temperature slope {_pair_text(drift)}, "
-        f"in-run variation {_pair_text(in_run)}; "
-        "criterion: noise 1.8 to 2.2, slope above 3, in-run above 1.5, on both",
+        f"in-run variation {_pair_text(in_run)}; criterion: noise 1.8 to 2.2, slope above 3, in-run above 1.5, on both",
         all(Decimal("1.8") <= n <= Decimal("2.2") for n in noise) and min(drift) > 3 and min(in_run) > Decimal("1.5"),
     )
 
@@ -260,8 +255,7 @@ def _bma_stability() -> Statement:
     return Statement(
         "6.3: the BMA180's biases are slightly more stable at +-1.5 g in physical units",
         f"low over high range: in-run {figure(in_run, 2)}, run-to-run {figure(turn_on, 2)} without "
-        "BMA1 (Table 11): no clear "
-        "difference; criterion: both below 1",
+        "BMA1 (Table 11): no clear difference; criterion: both below 1",
         in_run < 1 and turn_on < 1,
     )
 
@@ -305,8 +299,7 @@ def _blending() -> Statement:
         f"weights {figure(blend.weight_low, 2)} and {figure(1 - blend.weight_low, 2)}: "
         f"{figure(blend.weighted_mg, 2)} mg, "
         f"{figure(100 * over_plain, 0)} % below the plain average ({figure(blend.plain_mg, 2)}), "
-        f"{figure(100 * over_low, 0)} % below "
-        "the low range alone; criterion: 10 % below both",
+        f"{figure(100 * over_low, 0)} % below the low range alone; criterion: 10 % below both",
         min(over_plain, over_low) >= Decimal("0.1"),
     )
 
@@ -328,13 +321,14 @@ def _boot_fault() -> Statement:
 
 def _two_states() -> Statement:
     result = bias_states()
-    largest_distance = max(dist(state.centre, stated) for state, stated in zip(result, _STATED_STATES, strict=True))
+    largest_distance = max(
+        dist(state.centre, tuple(map(float, stated))) for state, stated in zip(result, _STATED_STATES, strict=True)
+    )
     centres = " and ".join(f"({', '.join(figure(value, 1) for value in state.centre)})" for state in result)
     return Statement(
         "5.2.4: Gyro3 comes up in one of two sets of biases, (0, 69, 2) and (-13, 75, 0) LSB",
         f"best two-way split: {centres}, {len(result[0].runs)} and {len(result[1].runs)} runs, "
-        f"{figure(largest_distance, 1)} LSB from "
-        "those at most; criterion: within 2 LSB",
+        f"{figure(largest_distance, 1)} LSB from those at most; criterion: within 2 LSB",
         largest_distance <= 2,
     )
 
@@ -427,8 +421,7 @@ def _six_term_sum() -> Statement:
     return Statement(
         "Appendix B: the average of six terms is the scale factor",
         f"even with the azimuth mended the printed sum gives {as_printed} of {total} scale factors "
-        "of Table 3; with the "
-        f"first term's missing cos(azimuth) moved back from the third, {mended} of {total}",
+        f"of Table 3; with the first term's missing cos(azimuth) moved back from the third, {mended} of {total}",
         as_printed == total,
     )
 
@@ -483,8 +476,7 @@ def _pair_slope() -> Statement:
     return Statement(
         f"Section 5.2.5: the opposed y axes have a combined drift of {_STATED_PAIR_SLOPE} LSB/degC",
         f"{first} - {second} = {first - second} is the difference; the combination of Figure 10 is "
-        "half the difference, "
-        f"and drifts by {figure(pair.fused_slope, 3)} LSB/degC",
+        f"half the difference, and drifts by {figure(pair.fused_slope, 3)} LSB/degC",
         abs(pair.fused_slope) == _STATED_PAIR_SLOPE,
     )
 
@@ -500,8 +492,7 @@ def _gyro_bias() -> Statement:
     return Statement(
         "Section 5.2.2: Table 4's bias is the mean of the six orientations",
         f"the mean of six readings gives {six} of {len(table(4))} printed biases, the mean of all "
-        "seven (the check counted) "
-        f"{seven} of {len(table4())}",
+        f"seven (the check counted) {seven} of {len(table4())}",
         six == len(table(4)),
     )
 
@@ -557,9 +548,6 @@ def slips() -> tuple[Statement, ...]:
 
 _A3_LSB = (("x", "8.0201", "15.6642"), ("y", "9.8857", "19.3081"), ("z", "9.3002", "18.1645"))
 """Appendix A.3: deviations of a BMA180 at 16 g in counts and in mg."""
-_GYRO3_STATED = (("0", "69", "2"), ("-13", "75", "0"))
-"""Section 5.2.4."""
-_LSB_PER_G_AT_16 = 512
 
 
 class _Figure(NamedTuple):
@@ -575,14 +563,12 @@ class _Figure(NamedTuple):
 
 def stated() -> tuple[RecomputedRow, ...]:
     """Return every such figure in the order of the sections, in the column `value`."""
-    figures = (*_section_4_and_5_2(), *_section_5_2_4(), *_section_5_2_5(), *_section_6(), *_appendix_a())
-    return tuple(_recomputed(figure) for figure in figures)
-
-
-def _recomputed(figure: _Figure) -> RecomputedRow:
-    row = {"value": figure.printed}
-    cell = numeric_cell(row, "value", figure.formula, figure.inputs)
-    return judged(figure.place, figure.what, row, cell, figure.source)
+    rows = []
+    for figure in (*_section_4_and_5_2(), *_section_5_2_4(), *_section_5_2_5(), *_section_6(), *_appendix_a()):
+        row = {"value": figure.printed}
+        cell = numeric_cell(row, "value", figure.formula, figure.inputs)
+        rows.append(judged(figure.place, figure.what, row, cell, figure.source))
+    return tuple(rows)
 
 
 def _section_4_and_5_2() -> Iterator[_Figure]:
@@ -594,7 +580,7 @@ def _section_4_and_5_2() -> Iterator[_Figure]:
         sizes = [abs(number_in(row, "scale_lsb_per_g")) for row in channels(3, "ADXL", axes=axes)]
         yield from _ends("Section 5.2.1", f"ADXL345 {axes} scale factor, LSB/g", ends, sizes, "Table 3")
     (continuous,) = (reading.middle for reading in readings() if reading.log == "cont")
-    yield _Figure("Figure 6", "samples in 5 minutes", "1400", _first, [continuous], "Table 11, (std / sem)^2")
+    yield _Figure("Figure 6", "samples in 5 minutes", "1400", lambda v: v[0], [continuous], "Table 11, (std / sem)^2")
 
 
 def _section_5_2_4() -> Iterator[_Figure]:
@@ -602,7 +588,7 @@ def _section_5_2_4() -> Iterator[_Figure]:
     yield from _ends("Section 5.2.4", "ADXL345 run-to-run over in-run", ("1.2", "1.8"), adxl, "Table 11, ratio")
     gyros = [number_in(row, "ratio") for row in channels(11, "Gyro", "2k dps")]
     yield from _ends("Section 5.2.4", "Gyro1, Gyro2 run-to-run over in-run", ("2.4", "7.7"), gyros, "Table 11, ratio")
-    for number, (state, printed) in enumerate(zip(bias_states(), _GYRO3_STATED, strict=True), start=1):
+    for number, (state, printed) in enumerate(zip(bias_states(), _STATED_STATES, strict=True), start=1):
         for axis, text in zip("xyz", printed, strict=True):
             values = [number_in(table(7)[run - 1], f"{axis}_lsb") for run in state.runs]
             yield _Figure("Section 5.2.4", f"Gyro3 {axis} in state {number}, LSB", text, mean, values, "Table 7, mean")
@@ -610,10 +596,9 @@ def _section_5_2_4() -> Iterator[_Figure]:
 
 def _section_5_2_5() -> Iterator[_Figure]:
     section, source = "Section 5.2.5", "Table 8"
-    yield _Figure(
-        section, "ADXL345 x and y with a negative slope, of 4", "3", _negative, slopes("ADXL", axes="xy"), source
-    )
-    ratios = [_out_of_plane(name) for name in ("ADXL1", "ADXL2")]
+    negative = [-slope for slope in slopes("ADXL", axes="xy")]
+    yield _Figure(section, "ADXL345 x and y with a negative slope, of 4", "3", _positive, negative, source)
+    ratios = [plane_ratio(name, "thermal_slope") for name in _ADXL]
     yield from _ends(section, "ADXL345 z slope over mean of x and y", ("5", "10"), ratios, source)
     yield _Figure(section, "BMA180 z with a positive slope, of 4", "3", _positive, slopes("BMA", axes="z"), source)
     ranges = [*slopes("BMA", "1.5g"), *slopes("BMA", "16g")]
@@ -642,9 +627,10 @@ def _appendix_a() -> Iterator[_Figure]:
     for reading in readings()[:2]:
         what, source = f"seconds at 350 Hz, {reading.log}", "Table 9, (std / sem)^2 / 350 Hz"
         yield _Figure("Appendix A.1", what, "1.4E+3", lambda v: v[0] / HIGH_RATE_HZ, [reading.middle], source)
+    per_g = BMA180_LSB_PER_G["16g"]
     for axis, counts, milli_g in _A3_LSB:
-        source = f"{counts} LSB at {_LSB_PER_G_AT_16} LSB/g"
-        yield _Figure("Appendix A.3", f"BMA180 {axis} noise, mg", milli_g, _milli_g_at_16, [Decimal(counts)], source)
+        what, source = f"BMA180 {axis} noise, mg", f"{counts} LSB at {per_g} LSB/g"
+        yield _Figure("Appendix A.3", what, milli_g, lambda v: 1000 * v[0] / per_g, [Decimal(counts)], source)
 
 
 def _ends(place: str, what: str, printed: Sequence[str], values: Sequence[Decimal], source: str) -> Iterator[_Figure]:
@@ -653,28 +639,11 @@ def _ends(place: str, what: str, printed: Sequence[str], values: Sequence[Decima
     yield _Figure(place, f"{what}: most", printed[1], max, values, source)
 
 
-def _out_of_plane(sensor: str) -> Decimal:
-    x, y, z = (abs(number_in(row, "slope_lsb_per_degc")) for row in table(8) if row["channel"].split()[0] == sensor)
-    return 2 * z / (x + y)
-
-
 def _positive(values: Sequence[Decimal]) -> Decimal:
     return Decimal(sum(value > 0 for value in values))
-
-
-def _negative(values: Sequence[Decimal]) -> Decimal:
-    return Decimal(sum(value < 0 for value in values))
 
 
 def _halves(values: Sequence[Decimal]) -> Decimal:
     """Return the mean absolute value of the first half divided by that of the second half."""
     sizes = [abs(value) for value in values]
     return mean(sizes[: len(sizes) // 2]) / mean(sizes[len(sizes) // 2 :])
-
-
-def _milli_g_at_16(values: Sequence[Decimal]) -> Decimal:
-    return values[0] * 1000 / _LSB_PER_G_AT_16
-
-
-def _first(values: Sequence[Decimal]) -> Decimal:
-    return values[0]

@@ -12,19 +12,31 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.atomic import save_figure
 from imuarray.characterise import allan_deviation
 from imuarray.figures import PALETTE, new_figure
+from imuarray.studies.paper.replica.curves import (
+    against_temperature,
+    correlogram,
+    histogram,
+    opposed,
+    profile,
+    rate_hz,
+    smoothed,
+    spectrum,
+)
+from imuarray.studies.paper.variation import HIGH_RATE_HZ
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from imuarray.studies.paper.replica import Curves
-    from imuarray.studies.paper.replica.curves import RestNoise
+    from imuarray.studies.paper.replica.simulation import ExperimentData
 
 Result = Mapping[str, Any]
+Counts = npt.NDArray[np.int16]
 
 _ONE, _OTHER, _MEAN, _BAD = "#4477aa", "#66ccee", "#228833", "#cc3311"
 _DPI = 130
@@ -66,16 +78,15 @@ def _draw_slopes(axes: Axes, pairs: Sequence[dict[str, Any]], scale: float, unit
                 padding=3,
                 fontsize=8,
             )
-    axes.set_yticks(range(len(pairs)), [_pair_name(pair) for pair in pairs])
+    names = [
+        f"{pair['first']}, {pair['second'].split()[0]}{' *' if pair['carries_1g'] else ''}\n{pair['relation']}"
+        for pair in pairs
+    ]
+    axes.set_yticks(range(len(pairs)), names)
     axes.invert_yaxis()
     axes.set_xlabel(f"size of the slope, {unit}")
     axes.margins(x=0.2)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _pair_name(pair: dict[str, Any]) -> str:
-    star = " *" if pair["carries_1g"] else ""
-    return f"{pair['first']}, {pair['second'].split()[0]}{star}\n{pair['relation']}"
 
 
 def draw_blending(result: Result, path: Path) -> None:
@@ -179,12 +190,12 @@ _MILLI_G = {"ADXL1": 1000 / 256, "BMA2": 1000 / 512}
 """mg per count (ADX-40, BMA-76)."""
 
 
-def in_run_figure(curves: Curves) -> Figure:
+def in_run_figure(observed: ExperimentData) -> Figure:
     """Draw a figure like Figure 6: a continuous run, averaged over five minutes, minus its mean."""
     figure, panels = _sheet(7.5, 8.0, 3)
     for panel, (title, names) in zip(panels, _GROUPS, strict=True):
         for name, colour in zip(names, _SENSOR_COLOURS, strict=False):
-            curve = curves.in_run[name]
+            curve = smoothed(observed.still[name])
             for axis, values in zip("xyz", curve.lsb.T, strict=True):
                 panel.plot(curve.seconds / 60, values, color=colour, dashes=_AXIS_DASHES[axis], linewidth=1.3)
         panel.axhline(0, color="black", linewidth=0.6)
@@ -195,18 +206,18 @@ def in_run_figure(curves: Curves) -> Figure:
     return figure
 
 
-def profile_figure(curves: Curves) -> Figure:
+def profile_figure() -> Figure:
     """Draw a figure like Figure 7: the temperature while the box is heated twice."""
     figure, (panel,) = _sheet(7.5, 3.0, 1)
-    _draw_profile(panel, curves)
+    _draw_profile(panel)
     panel.set_xlabel("time (min)")
     return figure
 
 
-def temperature_figure(curves: Curves, channel: str, slope: float, intercept: float) -> Figure:
+def temperature_figure(observed: ExperimentData, channel: str, slope: float, intercept: float) -> Figure:
     """Draw figures like Figures 8 and 9: readings against temperature, the line through them, and the printed one."""
     figure, (panel,) = _sheet(7.5, 4.2, 1)
-    result = curves.against_temperature[channel]
+    result = against_temperature(observed, channel)
     points = panel.plot(result.degc, result.lsb, color=_GREY, linestyle="none", marker=".", markersize=3, alpha=0.35)
     points[0].set_label("readings, one in four seconds")
     ends = np.array([result.degc.min(), result.degc.max()])
@@ -220,52 +231,54 @@ def temperature_figure(curves: Curves, channel: str, slope: float, intercept: fl
     return figure
 
 
-def opposed_figure(curves: Curves) -> Figure:
+def opposed_figure(observed: ExperimentData) -> Figure:
     """Draw a figure like Figure 10: two gyroscopes that point in opposite directions and half of their difference."""
     figure, (panel, lower_panel) = _sheet(7.5, 5.6, 2, (5, 2))
-    curve = curves.opposed
+    curve = opposed(observed)
     styles = (("Gyro1 y", _BLUE), ("Gyro2 y", _RED), ("half of the difference", _GREEN))
     for (label, colour), values in zip(styles, curve.lsb.T, strict=True):
         panel.plot(curve.seconds / 60, values, color=colour, linewidth=1.5, label=label)
     panel.set_ylabel("output (LSB)")
     panel.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    _draw_profile(lower_panel, curves)
+    _draw_profile(lower_panel)
     lower_panel.set_xlabel("time (min)")
     return figure
 
 
-def gyro_allan_figure(curves: Curves) -> Figure:
+def gyro_allan_figure(observed: ExperimentData) -> Figure:
     """Draw a figure like Figure 11: Allan deviation of Gyro1 alone at both ranges."""
     figure, (panel,) = _sheet(7.5, 4.8, 1)
     for name, (_, dps, colour) in _RANGES.items():
-        _draw_allan(panel, curves.noise[name], dps, dict.fromkeys("xyz", colour))
+        counts = observed.high_rate[name].counts
+        _draw_allan(panel, counts, HIGH_RATE_HZ, dps, dict.fromkeys("xyz", colour))
     _finish_allan(panel, "Allan deviation (dps)")
     _legend(panel, {label: colour for label, _, colour in _RANGES.values()})
     return figure
 
 
-def gyro_memory_figure(curves: Curves) -> Figure:
+def gyro_memory_figure(observed: ExperimentData) -> Figure:
     """Draw figures like Figures 13 and 14: autocorrelation and spectrum of Gyro1 at 250 dps."""
     figure, (upper, lower) = _sheet(7.5, 6.4, 2, shared=False)
-    noise = curves.noise["250dps"]
-    for axis, values in zip("xyz", noise.correlogram.T, strict=True):
+    counts = observed.high_rate["250dps"].counts
+    for axis, values in zip("xyz", correlogram(counts).T, strict=True):
         upper.plot(values, color=_OF_AXES[axis], dashes=_AXIS_DASHES[axis], marker="o", markersize=3, linewidth=1.2)
     upper.axhline(0.4, color="black", linewidth=0.8, linestyle=":")
     upper.annotate("0.4", (30, 0.4), xytext=(0, 3), textcoords="offset points", ha="right", fontsize=9)
     upper.set(xlabel="lag (samples)", ylabel="autocorrelation")
     _axes_legend(upper)
-    _draw_spectrum(lower, noise, _RANGES["250dps"][1])
+    _draw_spectrum(lower, counts, HIGH_RATE_HZ, _RANGES["250dps"][1])
     lower.set_ylabel("density (dps/√Hz)")
     return figure
 
 
-def histogram_figure(curves: Curves) -> Figure:
+def histogram_figure(observed: ExperimentData) -> Figure:
     """Draw a figure like Figure 15: the number of readings of each code of Gyro1 x, at both ranges, and the normal
     curve of that deviation.
     """
     figure, panels = _sheet(7.5, 5.0, 2, shared=False)
     for panel, (name, (label, _, colour)) in zip(panels, _RANGES.items(), strict=True):
-        counts, codes, often = curves.noise[name].counts[:, 0], curves.noise[name].codes, curves.noise[name].often
+        counts = observed.high_rate[name].counts[:, 0]
+        codes, often = histogram(counts)
         panel.stairs(often / 1000, np.append(codes, codes[-1] + 1) - 0.5, color=colour, fill=True, alpha=0.45)
         mean, std = float(counts.mean()), float(counts.std())
         fine = np.linspace(codes[0], codes[-1], 300)
@@ -278,25 +291,26 @@ def histogram_figure(curves: Curves) -> Figure:
     return figure
 
 
-def accelerometer_figure(curves: Curves, name: str) -> Figure:
+def accelerometer_figure(observed: ExperimentData, name: str) -> Figure:
     """Draw figures like Figures 16 to 19: Allan deviation and spectrum of an accelerometer, from the continuous run."""
     figure, (upper, lower) = _sheet(7.5, 6.8, 2, shared=False)
-    _draw_allan(upper, curves.noise[name], _MILLI_G[name], _OF_AXES)
+    series, scale = observed.still[name], _MILLI_G[name]
+    _draw_allan(upper, series.counts, rate_hz(series), scale, _OF_AXES)
     _finish_allan(upper, "Allan deviation (mg)")
     _axes_legend(upper)
-    _draw_spectrum(lower, curves.noise[name], _MILLI_G[name])
+    _draw_spectrum(lower, series.counts, rate_hz(series), scale)
     lower.set_ylabel("density (mg/√Hz)")
     return figure
 
 
-def _draw_profile(panel: Axes, curves: Curves) -> None:
-    warmth = curves.profile
+def _draw_profile(panel: Axes) -> None:
+    warmth = profile()
     panel.plot(warmth.seconds / 60, warmth.lsb, color=_ORANGE, linewidth=1.8)
     panel.set_ylabel("temperature (°C)")
 
 
-def _draw_allan(panel: Axes, noise: RestNoise, scale: float, colours: Mapping[str, str]) -> None:
-    curve = allan_deviation(noise.counts, 1 / noise.rate_hz, estimator="decimated")
+def _draw_allan(panel: Axes, counts: Counts, rate: float, scale: float, colours: Mapping[str, str]) -> None:
+    curve = allan_deviation(counts, 1 / rate, estimator="decimated")
     for axis, deviation in zip("xyz", curve.deviation.T, strict=True):
         panel.plot(
             curve.tau_s, scale * deviation, color=colours[axis], dashes=_AXIS_DASHES[axis], marker="o", markersize=2.5
@@ -319,9 +333,10 @@ def _finish_allan(panel: Axes, label: str) -> None:
     panel.grid(which="major", color="0.88", linewidth=0.8)
 
 
-def _draw_spectrum(panel: Axes, noise: RestNoise, scale: float) -> None:
+def _draw_spectrum(panel: Axes, counts: Counts, rate: float, scale: float) -> None:
+    hz, density = spectrum(counts, rate)
     for axis in "yxz":  # the y axis may have a line that would hide the others
-        panel.plot(noise.hz, scale * noise.density[:, "xyz".index(axis)], color=_OF_AXES[axis], linewidth=0.8)
+        panel.plot(hz, scale * density[:, "xyz".index(axis)], color=_OF_AXES[axis], linewidth=0.8)
     panel.set_ylim(0, None)
     panel.set_xlabel("frequency (Hz)")
     _axes_legend(panel, dashed=False)

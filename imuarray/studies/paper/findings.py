@@ -69,13 +69,12 @@ class Finding:
 def findings() -> tuple[Finding, ...]:
     """Return all findings, in the order of appendix A and the tables."""
     text = files("imuarray.studies.paper").joinpath("findings.toml").read_text(encoding="utf-8")
-    return tuple(_finding(entry) for entry in tomllib.loads(text)["finding"])
-
-
-def _finding(entry: Mapping[str, Any]) -> Finding:
-    fields: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
-    figures = fields.pop("figure")
-    return Finding(**fields, figures=tuple(FindingFigure(**figure) for figure in figures))
+    result = []
+    for entry in tomllib.loads(text)["finding"]:
+        figures = tuple(FindingFigure(**figure) for figure in entry.pop("figure"))
+        entry = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+        result.append(Finding(**entry, figures=figures))
+    return tuple(result)
 
 
 def as_json() -> dict[str, Any]:

@@ -21,7 +21,8 @@ from imuarray.studies.paper.tables import Cell, RecomputedRow, Row, number_in, r
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-    from imuarray.studies.paper.replica import AgreementSummary, Curves, Replica, Statistic
+    from imuarray.studies.paper.replica.simulation import ExperimentData
+    from imuarray.studies.paper.replica.statistic import AgreementSummary, Replica, Statistic
 
 COLUMNS: Mapping[str, str] = {
     "paper": "the number that the paper prints",
@@ -294,16 +295,16 @@ def _places(twin: Statistic, printed: str) -> int:
 
 
 def table_sections(
-    replica: Replica, curves: Curves | None, recomputed: Recomputed, result: Mapping[str, Any]
+    replica: Replica, observed: ExperimentData | None, recomputed: Recomputed, result: Mapping[str, Any]
 ) -> Iterator[Section]:
-    """Yield a section per table, with the figures that belong to it if there are `curves`; `result` is of
-    `recompute()`.
+    """Yield a section per table, with the figures that belong to it if there is `observed` data; `result` is
+    of `recompute()`.
     """
     further = further_words(result)
     for number, (title, words) in TABLE_WORDS.items():
         name = f"Table {number}"
         lines = compared(name, replica, recomputed)
-        parts: list[Table | Figure] = [*_figures(number, curves)] if curves else []
+        parts: list[Table | Figure] = [*_figures(number, observed)] if observed else []
         parts.append(_table(lines))
         if number == 8:
             parts.append(_pairs(replica))
@@ -335,31 +336,31 @@ def _row(line: PrintedNumber) -> list[str]:
     return [*texts[:-1], marked(texts[-1])] if line.marked else texts
 
 
-_OF_TABLE: dict[int, dict[str, Callable[[Curves], Drawing]]] = {
+_OF_TABLE: dict[int, dict[str, Callable[[ExperimentData], Drawing]]] = {
     5: {"6": figures.in_run_figure},
     8: {
-        "7": figures.profile_figure,
-        "8": lambda curves: _against_temperature(curves, "ADXL1 z"),
-        "9": lambda curves: _against_temperature(curves, "Gyro2 x"),
+        "7": lambda observed: figures.profile_figure(),
+        "8": lambda observed: _against_temperature(observed, "ADXL1 z"),
+        "9": lambda observed: _against_temperature(observed, "Gyro2 x"),
         "10": figures.opposed_figure,
     },
     9: {"11": figures.gyro_allan_figure, "13": figures.gyro_memory_figure, "15": figures.histogram_figure},
     10: {
-        "16": lambda curves: figures.accelerometer_figure(curves, "ADXL1"),
-        "18": lambda curves: figures.accelerometer_figure(curves, "BMA2"),
+        "16": lambda observed: figures.accelerometer_figure(observed, "ADXL1"),
+        "18": lambda observed: figures.accelerometer_figure(observed, "BMA2"),
     },
 }
 
 
-def _figures(number: int, curves: Curves) -> Iterator[Figure]:
+def _figures(number: int, observed: ExperimentData) -> Iterator[Figure]:
     for name, draw in _OF_TABLE.get(number, {}).items():
-        yield Figure(draw(curves), *FIGURE_WORDS[name])
+        yield Figure(draw(observed), *FIGURE_WORDS[name])
 
 
-def _against_temperature(curves: Curves, channel: str) -> Drawing:
+def _against_temperature(observed: ExperimentData, channel: str) -> Drawing:
     row = row_of(8, channel)
     slope, intercept = (float(number_in(row, column)) for column in ("slope_lsb_per_degc", "intercept_lsb"))
-    return figures.temperature_figure(curves, channel, slope, intercept)
+    return figures.temperature_figure(observed, channel, slope, intercept)
 
 
 def _pairs(replica: Replica) -> Table:
@@ -423,11 +424,11 @@ _FAR = 3.0
 
 
 def write_paper_page(
-    path: str | PathLike[str], replica: Replica, curves: Curves | None, *, force: bool = False
+    path: str | PathLike[str], replica: Replica, observed: ExperimentData | None, *, force: bool = False
 ) -> None:
-    """Write the page; figures are those of `curves`; without them (None) the page states that they are missing.
+    """Write the page; figures are those of `observed` data; without them (None) the page states that they are missing.
 
-    OutputExistsError if the file exists and `force` is false; MissingExtraError without jinja2, or with `curves`
+    OutputExistsError if the file exists and `force` is false; MissingExtraError without jinja2, or with `observed`
     without matplotlib.
     """
     recomputed, result = recomputed_rows(), recompute()
@@ -435,14 +436,14 @@ def write_paper_page(
     write_page(
         path,
         TITLE,
-        lines if curves else [*lines, NO_FIGURES],
+        lines if observed else [*lines, NO_FIGURES],
         [
             _overview(replica, recomputed),
             _columns(),
             _conclusions(result),
             _slips(result),
             _gaps(replica, recomputed),
-            *table_sections(replica, curves, recomputed, result),
+            *table_sections(replica, observed, recomputed, result),
             elsewhere_section(replica, recomputed),
             _stated(recomputed),
         ],
@@ -545,16 +546,8 @@ def _stated(recomputed: Recomputed) -> Section:
     rows = []
     for row in recomputed["stated"]:
         (cell,) = row.cells
-        source = str(row.extra["follows_from"])
-        rows.append(
-            [
-                row.row["channel"],
-                row.row["table"],
-                plain(cell.printed),
-                recomputed_text(cell, plain(cell.printed)),
-                source,
-            ]
-        )
+        printed, source = plain(cell.printed), str(row.extra["follows_from"])
+        rows.append([row.row["channel"], row.row["table"], printed, recomputed_text(cell, printed), source])
     words = "Figures in the paper's text that its own tables decide, each to the digits that it has."
     heading = ["of", "where", "text", "recomputed", "from"]
     parts = [Table(heading, rows, "≈ within rounding, ≠ beyond it.", (1, 4))]
@@ -564,7 +557,7 @@ def _stated(recomputed: Recomputed) -> Section:
 def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
     lines = [line for name in replica.tables for line in compared(name, replica, recomputed)]
     rows = [
-        [line.channel, line.twin.table, *_without_recomputed(line), line.twin.origin]
+        [line.channel, line.twin.table, *line.texts()[1:3], *line.texts()[4:], line.twin.origin]
         for line in lines
         if line.twin and abs(line.twin.z) > _FAR
     ]
@@ -577,12 +570,6 @@ def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
     heading = ["channel", "where", "statistic", "paper", "simulated", "difference", "z", "uncertainty"]
     parts = [Table(heading, rows, "Statistics more than three uncertainties off.", (1, 2, 7))]
     return Section("Known gaps", words, parts, fold=f"{len(rows)} statistics")
-
-
-def _without_recomputed(line: PrintedNumber) -> list[str]:
-    """Statistic, paper, simulated, difference, z."""
-    _, statistic, printed, _, *simulated = line.texts()
-    return [statistic, printed, *simulated]
 
 
 def _conclusions(result: dict[str, Any]) -> Section:

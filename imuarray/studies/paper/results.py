@@ -88,8 +88,8 @@ def recompute() -> dict[str, Any]:
             "logging_rate": variation.logging_rate(),
             "readings": [reading.as_json() for reading in readings()],
             "range_over_deviation": variation.range_over_deviation(),
-            "slips": [statement.as_json() for statement in slips()],
-            "conclusions": [statement.as_json() for statement in conclusions()],
+            "slips": [vars(statement) for statement in slips()],
+            "conclusions": [vars(statement) for statement in conclusions()],
         }
 
 
@@ -119,13 +119,9 @@ def render_text(result: dict[str, Any]) -> str:
     """Return the matches by table, key numbers, slips and conclusions of a `recompute()` result, in lines of at most
     100 columns.
     """
-    parts = (_heading(result), _matches(result), _key_numbers(result), _slips(result), _conclusions(result))
+    heading = ["The paper, recomputed from its own tables", *wrap(result["source"], _WIDTH)]
+    parts = (heading, _matches(result), _key_numbers(result), _slips(result), _conclusions(result))
     return "\n".join(line for part in parts for line in (*part, "")).rstrip() + "\n"
-
-
-def _heading(result: dict[str, Any]) -> Iterator[str]:
-    yield "The paper, recomputed from its own tables"
-    yield from wrap(result["source"], _WIDTH)
 
 
 def _matches(result: dict[str, Any]) -> Iterator[str]:
@@ -248,15 +244,6 @@ def write(result: Mapping[str, Any], directory: Path, *, force: bool) -> tuple[P
     is written; ImuArrayError, which names the place, if a file cannot be written.
     """
     texts = {"paper.json": as_json(result)} | {f"{name}.csv": as_csv(result[name]) for name in (*TABLES, "pairs")}
-    try:
-        return _write_all(texts, result, directory, force=force)
-    except OSError as error:
-        raise ImuArrayError(f"{error.filename or directory}: {error.strerror or error}") from error
-
-
-def _write_all(
-    texts: Mapping[str, str], result: Mapping[str, Any], directory: Path, *, force: bool
-) -> tuple[Path, ...]:
     drawings: Mapping[str, Any] = {}
     if can_draw():
         from imuarray.studies.paper.figures import FIGURES  # matplotlib is slow to import and optional
@@ -265,9 +252,12 @@ def _write_all(
     paths = [directory / name for name in (*texts, *drawings)]
     if not force and (existing := next((path for path in paths if path.exists()), None)):
         raise OutputExistsError(existing)
-    directory.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        write_text(directory / name, text, force=True)
-    for name, draw in drawings.items():
-        draw(result, directory / name)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            write_text(directory / name, text, force=True)
+        for name, draw in drawings.items():
+            draw(result, directory / name)
+    except OSError as error:
+        raise ImuArrayError(f"{error.filename or directory}: {error.strerror or error}") from error
     return tuple(paths)

@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from functools import cache
 from importlib.resources import files
-from types import MappingProxyType
 from typing import Any
 
 Row = Mapping[str, str]
@@ -66,19 +65,17 @@ FACES_DEGC = (26.23803, 26.45391, 26.47834, 26.42805, 26.49729, 26.49944, 26.684
 """Row "Indep. Temp" of Table 10 in degC, measured by the BMP180 next to the sensors: means over the faces in the order
 in which they were up, the repeated first face last. The CSV files contain only the rows of the sensors.
 """
-DEGC: Mapping[tuple[int, str], float] = MappingProxyType(
-    {
-        (10, "std_lsb"): 0.251412,
-        (11, "runs_mean"): 24.505,
-        (11, "runs_std"): 0.030,
-        (11, "runs_std_of_means"): 0.131,
-        (11, "runs_range_of_means"): 0.473,
-        (11, "cont_mean"): 23.817,
-        (11, "cont_std"): 0.019,
-        (11, "cont_std_of_means"): 0.086,
-        (11, "cont_range_of_means"): 0.193,
-    }
-)
+DEGC: Mapping[tuple[int, str], float] = {
+    (10, "std_lsb"): 0.251412,
+    (11, "runs_mean"): 24.505,
+    (11, "runs_std"): 0.030,
+    (11, "runs_std_of_means"): 0.131,
+    (11, "runs_range_of_means"): 0.473,
+    (11, "cont_mean"): 23.817,
+    (11, "cont_std"): 0.019,
+    (11, "cont_std_of_means"): 0.086,
+    (11, "cont_range_of_means"): 0.193,
+}
 """The same row of Tables 10 and 11 by table and the column's name in the CSV files, degC."""
 
 

@@ -61,15 +61,9 @@ of the means.
 """
 
 
-def _deviation(values: Sequence[Decimal]) -> Decimal:
-    centre = mean(values)
-    squares = [(value - centre) ** 2 for value in values]
-    return (sum(squares, Decimal(0)) / (len(values) - 1)).sqrt()
-
-
 _RUN_COLUMNS: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
     "runs_mean": mean,
-    "runs_std_of_means": _deviation,
+    "runs_std_of_means": stdev,
     "runs_range_of_means": lambda values: max(values) - min(values),
 }
 
@@ -83,14 +77,14 @@ def _run_cells(row: Row) -> tuple[Cell, ...]:
     return tuple(numeric_cell(row, name, formula, means) for name, formula in _RUN_COLUMNS.items())
 
 
-def _ratio_cell(row: Row) -> Cell:
-    inputs = [number_in(row, "runs_std_of_means"), number_in(row, "cont_std_of_means")]
-    return numeric_cell(row, "ratio", lambda values: values[0] / values[1], inputs)
-
-
 def table11() -> tuple[RecomputedRow, ...]:
     """Return Table 11 with its ratio recomputed, and for BMA1 and Gyro3 the run-to-run columns from Tables 6 and 7."""
-    return tuple(RecomputedRow(row, (*_run_cells(row), _ratio_cell(row))) for row in table(11))
+    rows = []
+    for row in table(11):
+        inputs = [number_in(row, "runs_std_of_means"), number_in(row, "cont_std_of_means")]
+        ratio = numeric_cell(row, "ratio", lambda values: values[0] / values[1], inputs)
+        rows.append(RecomputedRow(row, (*_run_cells(row), ratio)))
+    return tuple(rows)
 
 
 def unexplained_cells() -> tuple[tuple[str, Cell], ...]:
@@ -267,11 +261,11 @@ def principal_axis(points: Sequence[Point]) -> Point:
     """Return the unit vector along which points scatter most (power iteration on their scatter matrix)."""
     centre = _centre(points)
     offsets = [tuple(value - mid for value, mid in zip(point, centre, strict=True)) for point in points]
-    vector: Point = max(offsets, key=lambda offset: dist(offset, (0.0,) * len(offset)))
+    vector: Point = max(offsets, key=lambda offset: hypot(*offset))
     for _ in range(_POWER_STEPS):
         weights = [_dot(offset, vector) for offset in offsets]
         pulled = [_dot(weights, column) for column in zip(*offsets, strict=True)]
-        length = sqrt(_dot(pulled, pulled)) or 1.0
+        length = hypot(*pulled) or 1.0
         vector = tuple(value / length for value in pulled)
     return vector
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from imuarray.studies.fusion_gain import Study, gain_study, study
+from imuarray.studies.fusion_gain import gain_study
+from imuarray.studies.fusion_gain.gain_study import Study, study
 from imuarray.studies.fusion_gain.page import HeatingErrors, heated
 
 

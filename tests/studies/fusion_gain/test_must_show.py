@@ -21,15 +21,18 @@ from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
-from imuarray.studies.fusion_gain import GainRow, Study, study, true_calibration
+from imuarray.studies.fusion_gain.cramer_rao import true_calibration
 from imuarray.studies.fusion_gain.gain_study import (
     CAUSAL,
     FAULTS,
     NO_SLOPES,
     OPTIMAL_CAUSAL,
+    GainRow,
+    Study,
     martin2013,
     measured,
     simulated,
+    study,
 )
 
 MG = 9.80665e-3

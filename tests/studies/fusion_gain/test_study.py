@@ -14,8 +14,7 @@ from imuarray.cli import main
 from imuarray.commands import study as command
 from imuarray.fuse import technique_names
 from imuarray.gap.model.workers import processes
-from imuarray.studies.fusion_gain import EXPERIMENTS, RunErrors, Study, render_text, study
-from imuarray.studies.fusion_gain.gain_study import rows_of
+from imuarray.studies.fusion_gain.gain_study import EXPERIMENTS, RunErrors, Study, render_text, rows_of, study
 from imuarray.studies.fusion_gain.page import HeatingErrors, drawings_of
 from tests.json_page import documented
 

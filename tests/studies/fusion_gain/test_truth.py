@@ -13,7 +13,7 @@ from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
-from imuarray.studies.fusion_gain import OUTSIDE, ErrorLaw, law_of, true_calibration
+from imuarray.studies.fusion_gain.cramer_rao import OUTSIDE, ErrorLaw, law_of, true_calibration
 from imuarray.studies.fusion_gain.gain_study import martin2013, perpendicular, simulated
 from tests.selection import some
 

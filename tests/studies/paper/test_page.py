@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-import imuarray.studies.paper.replica as replica_package
 from imuarray.cli import main
 from imuarray.errors import MissingExtraError, OutputExistsError
 from imuarray.studies.paper import page as paper_page
@@ -21,7 +20,11 @@ from imuarray.studies.paper import recompute
 from imuarray.studies.paper import results as paper_files
 from imuarray.studies.paper.figures import accelerometer_figure, gyro_memory_figure, opposed_figure, temperature_figure
 from imuarray.studies.paper.page import NO_FIGURES, PrintedNumber, line_of, recomputed_text, write_paper_page
-from imuarray.studies.paper.replica import Curves, ExperimentData, Replica, Statistic, compare, curves_of, observe
+from imuarray.studies.paper.replica import simulation
+from imuarray.studies.paper.replica.comparison import compare
+from imuarray.studies.paper.replica.curves import opposed
+from imuarray.studies.paper.replica.simulation import ExperimentData, observe
+from imuarray.studies.paper.replica.statistic import Replica, Statistic
 from imuarray.studies.paper.tables import Cell
 from tests.html_page import Page
 
@@ -29,7 +32,6 @@ from tests.html_page import Page
 class Made(NamedTuple):
     observed: ExperimentData
     replica: Replica
-    curves: Curves
     text: str
 
 
@@ -37,10 +39,9 @@ class Made(NamedTuple):
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     observed = observe(1)
     replica = Replica(1, tuple(compare(observed)))
-    curves = curves_of(observed)
     path = tmp_path_factory.mktemp("paper") / "paper.html"
-    write_paper_page(path, replica, curves)
-    return Made(observed, replica, curves, path.read_text(encoding="utf-8"))
+    write_paper_page(path, replica, observed)
+    return Made(observed, replica, path.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -149,15 +150,15 @@ def test_a_page_without_curves_states_it(made: Made, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_axes_have_units_and_lines_their_expected_positions(made: Made) -> None:
-    drawn = temperature_figure(made.curves, "Gyro2 x", 0.521, 5.67).axes[0]
+    drawn = temperature_figure(made.observed, "Gyro2 x", 0.521, 5.67).axes[0]
     ours, theirs = (line for line in drawn.get_lines() if len(line.get_xdata()) == 2)
     result = made.observed.heated["Gyro2"]
     for line, slope, intercept in ((ours, result.slope[0], result.intercept[0]), (theirs, 0.521, 5.67)):
         np.testing.assert_allclose(line.get_ydata(), slope * np.asarray(line.get_xdata()) + intercept)
     labels = [drawn.get_xlabel(), drawn.get_ylabel()]
-    for figure in (opposed_figure(made.curves), gyro_memory_figure(made.curves)):
+    for figure in (opposed_figure(made.observed), gyro_memory_figure(made.observed)):
         labels += [axes.get_ylabel() for axes in figure.axes]
-    labels += [axes.get_xlabel() for axes in accelerometer_figure(made.curves, "BMA2").axes]
+    labels += [axes.get_xlabel() for axes in accelerometer_figure(made.observed, "BMA2").axes]
     assert labels == [
         "temperature (°C)",
         "Gyro2 x (LSB)",
@@ -173,7 +174,7 @@ def test_axes_have_units_and_lines_their_expected_positions(made: Made) -> None:
 @pytest.mark.slow
 def test_half_of_the_difference_has_little_thermal_drift(made: Made) -> None:
     """Over 28 degC single gyroscopes change by 7 LSB, half of their difference by 0.06 and its wander (0.1 LSB)."""
-    spans = np.ptp(made.curves.opposed.lsb, axis=0)
+    spans = np.ptp(opposed(made.observed).lsb, axis=0)
     assert spans[:2].min() > 6
     assert spans[2] < 0.8
 
@@ -220,8 +221,7 @@ def test_texts_of_recomputed_cells(cell: Cell, printed: str, text: str) -> None:
 @pytest.fixture
 def quick(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command without its simulation."""
-    monkeypatch.setattr(replica_package, "observe", lambda seed, progress: made.observed)
-    monkeypatch.setattr(replica_package, "curves_of", lambda observed: made.curves)
+    monkeypatch.setattr(simulation, "observe", lambda seed, progress: made.observed)
 
 
 @pytest.mark.slow

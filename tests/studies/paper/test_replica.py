@@ -15,11 +15,12 @@ from scipy.special import polygamma
 
 from imuarray.log.writer import Block
 from imuarray.simulate.motion.heating import Heating
-from imuarray.studies.paper.replica import Replica, Statistic, compare, observe, render_text
-from imuarray.studies.paper.replica.comparison import autocorrelation, line_hz, period
-from imuarray.studies.paper.replica.simulation import line, run_temperatures, windows
+from imuarray.studies.paper.replica.comparison import autocorrelation, compare, line_hz, period
+from imuarray.studies.paper.replica.simulation import line, observe, run_temperatures, windows
 from imuarray.studies.paper.replica.statistic import (
     RANGE_OVER_DEVIATION,
+    Replica,
+    Statistic,
     combined,
     day_to_day,
     effective_degrees,
@@ -28,6 +29,7 @@ from imuarray.studies.paper.replica.statistic import (
     linear,
     log_deviation,
     logarithmic,
+    render_text,
     summary,
 )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.array_model import WINDOW_S
 from imuarray.studies.paper.replica.comparison import autocorrelation
 from imuarray.studies.paper.replica.simulation import ExperimentData, Series
-from imuarray.studies.paper.variation import HIGH_RATE_HZ
 
 SEGMENT = 2048
 """Rows of a segment of a spectrum, which is averaged over all segments."""
@@ -36,49 +34,6 @@ class Scatter(NamedTuple):
     lsb: Floats
     slope: float
     intercept: float
-
-
-class RestNoise(NamedTuple):
-    """One sensor at rest: counts (n, 3) and readings per second; autocorrelation (31, 3) at lags 0 to 30; amplitude
-    density (k, 3) in LSB/sqrt(Hz) at Hz (k,); codes (m,) of x from the lowest to the highest, and the number of
-    readings of each.
-    """
-
-    counts: npt.NDArray[np.int16]
-    rate_hz: float
-    correlogram: Floats
-    hz: Floats
-    density: Floats
-    codes: npt.NDArray[np.int64]
-    often: npt.NDArray[np.int64]
-
-
-class Curves(NamedTuple):
-    """All curves: by sensor, by channel, and noise by the range of Gyro1 as Table 9 prints it or by the sensor."""
-
-    in_run: Mapping[str, TimeCurve]
-    profile: TimeCurve
-    against_temperature: Mapping[str, Scatter]
-    opposed: TimeCurve
-    noise: Mapping[str, RestNoise]
-
-
-def curves_of(observed: ExperimentData) -> Curves:
-    """Return all figures of one set of experiments."""
-    noise = {name: _noise(result.counts, HIGH_RATE_HZ) for name, result in observed.high_rate.items()}
-    for name in ("ADXL1", "BMA2"):
-        noise[name] = _noise(observed.still[name].counts, rate_hz(observed.still[name]))
-    return Curves(
-        {name: smoothed(series) for name, series in observed.still.items()},
-        profile(),
-        {channel: against_temperature(observed, channel) for channel in ("ADXL1 z", "Gyro2 x")},
-        opposed(observed),
-        noise,
-    )
-
-
-def _noise(counts: npt.NDArray[np.int16], rate: float) -> RestNoise:
-    return RestNoise(counts, rate, correlogram(counts), *spectrum(counts, rate), *histogram(counts[:, 0]))
 
 
 def rate_hz(series: Series) -> float:

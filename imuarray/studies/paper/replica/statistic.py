@@ -401,8 +401,7 @@ def _chi_square(name: str, summary: AgreementSummary) -> str:
     low, high = summary.expected
     return (
         f"  {name:<13}{summary.chi_square:>7.2f} over {summary.independent:>4} of them;"
-        f" expected {low:.2f} to {high:.2f}"
-        f" ({summary.degrees:.0f} degrees)"
+        f" expected {low:.2f} to {high:.2f} ({summary.degrees:.0f} degrees)"
     )
 
 
