@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -116,16 +115,14 @@ def _swap(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Ro
     return rows._replace(counts=swapped)
 
 
-INJECTIONS: Mapping[str, Injection] = MappingProxyType(
-    {
-        "wandering_offset": Injection(_wander, ("bias_instability", "random_walk"), 1.0, is_of_axis=True),
-        "line": Injection(_line, ("tone",), 1.0, is_of_axis=True),
-        "dropped_rows": Injection(_drop, ("dropped_samples",), 0.01, "share of rows"),
-        "even_codes": Injection(_even, ("quantisation",), 0.0, "", needs_every_code=True),
-        "clock_off": Injection(_clock, ("clock_error",), 0.02, "1", is_of_all=True, needs_motion=True),
-        "swapped_axis": Injection(_swap, ("axis_error",), 0.0, "", needs_motion=True),
-    }
-)
+INJECTIONS: Mapping[str, Injection] = {
+    "wandering_offset": Injection(_wander, ("bias_instability", "random_walk"), 1.0, is_of_axis=True),
+    "line": Injection(_line, ("tone",), 1.0, is_of_axis=True),
+    "dropped_rows": Injection(_drop, ("dropped_samples",), 0.01, "share of rows"),
+    "even_codes": Injection(_even, ("quantisation",), 0.0, "", needs_every_code=True),
+    "clock_off": Injection(_clock, ("clock_error",), 0.02, "1", is_of_all=True, needs_motion=True),
+    "swapped_axis": Injection(_swap, ("axis_error",), 0.0, "", needs_motion=True),
+}
 
 
 class _Target(NamedTuple):

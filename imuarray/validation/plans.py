@@ -49,9 +49,11 @@ STRONG = 5.0
 
 _SOMEWHERE_HIDDEN = frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST, *IN_ONE_BOOT))
 
-NEEDED_BY_UNNAMED: Mapping[str, str] = MappingProxyType(
-    {"thermal_hysteresis": "heating", "vibration_rectification": "motion", "supply_droop": "motion"}
-)
+NEEDED_BY_UNNAMED: Mapping[str, str] = {
+    "thermal_hysteresis": "heating",
+    "vibration_rectification": "motion",
+    "supply_droop": "motion",
+}
 """The experiments that unnamed mechanisms need."""
 
 
@@ -105,7 +107,7 @@ EXTRAS: tuple[Mapping[str, Any], ...] = (
 )
 """Effects that the model has for one sensor of a chip and that the sensor itself does not have."""
 
-_SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed": 2_000_000})
+_SEEDS: Mapping[Half, int] = {"development": 1_000_000, "sealed": 2_000_000}
 """The first seed of each half; a million cases keep them apart."""
 
 
@@ -135,33 +137,31 @@ class Size:
     plans: tuple[str, ...] = tuple(PLANS)
 
 
-SIZES: Mapping[str, Size] = MappingProxyType(
-    {
-        "none": Size(),
-        "glance": Size(others=1, severities=(20.0,), mechanisms=("mains_ripple",), plans=("static",)),
-        "reduced": Size(
-            controls=1,
-            singles=1,
-            unnamed=1,
-            severities=(20.0,),
-            mechanisms=("mains_ripple", "power_on_stress", "stuck_bit", "interleaved_converters"),
-        ),
-        "bench": Size(controls=20, singles=1, hidden=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2, 5)),
-        "short": Size(
-            controls=150,
-            singles=2,
-            hidden=2,
-            withheld=1,
-            unnamed=3,
-            pairs=20,
-            removals=1,
-            severities=(2, 5),
-            worlds=True,
-        ),
-        "medium": Size(controls=400, singles=3, hidden=1, withheld=2, unnamed=6, pairs=60, removals=3, worlds=True),
-        "full": Size(controls=1000, singles=12, hidden=4, withheld=6, unnamed=20, pairs=200, removals=10, worlds=True),
-    }
-)
+SIZES: Mapping[str, Size] = {
+    "none": Size(),
+    "glance": Size(others=1, severities=(20.0,), mechanisms=("mains_ripple",), plans=("static",)),
+    "reduced": Size(
+        controls=1,
+        singles=1,
+        unnamed=1,
+        severities=(20.0,),
+        mechanisms=("mains_ripple", "power_on_stress", "stuck_bit", "interleaved_converters"),
+    ),
+    "bench": Size(controls=20, singles=1, hidden=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2, 5)),
+    "short": Size(
+        controls=150,
+        singles=2,
+        hidden=2,
+        withheld=1,
+        unnamed=3,
+        pairs=20,
+        removals=1,
+        severities=(2, 5),
+        worlds=True,
+    ),
+    "medium": Size(controls=400, singles=3, hidden=1, withheld=2, unnamed=6, pairs=60, removals=3, worlds=True),
+    "full": Size(controls=1000, singles=12, hidden=4, withheld=6, unnamed=20, pairs=200, removals=10, worlds=True),
+}
 """Sizes by the names that the command accepts: "none" is for case folders alone, the next three are on the fixed plans.
 """
 

@@ -351,7 +351,6 @@ def _mark(folder: Path, case: Case | None = None) -> Path:
 
 
 def _starts(case: Case, folder: Path) -> int:
-    """Return how often an unfinished case was started."""
     try:
         return _mark(folder, case).stat().st_size
     except FileNotFoundError:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import isfinite, nan
 from os import PathLike
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from imuarray.errors import ConfigError
@@ -26,13 +25,11 @@ Cause = Mapping[str, Any]
 """A cause, as the JSON of a diagnosis has it."""
 
 
-WORLD_EFFECTS: Mapping[tuple[str, str], frozenset[str]] = MappingProxyType(
-    {
-        ("labels", "some wrong"): frozenset({"face_error"}),
-        ("vibration", "fridge"): frozenset({"tone", "common_mode"}),
-        ("vibration", "fan"): frozenset({"tone", "common_mode"}),
-    }
-)
+WORLD_EFFECTS: Mapping[tuple[str, str], frozenset[str]] = {
+    ("labels", "some wrong"): frozenset({"face_error"}),
+    ("vibration", "fridge"): frozenset({"tone", "common_mode"}),
+    ("vibration", "fan"): frozenset({"tone", "common_mode"}),
+}
 """The effects that are correct reports in a stratum of a random world, whichever mechanism is active."""
 
 
@@ -230,17 +227,19 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Valid
     sealed, outcomes = _tables(place / "sealed"), _tables(place / "outcomes")
     answers, lost, differing, idle = [], [], 0, 0
     for name, table in sealed.items():
-        case, outcome = Case.of_table(table["case"]), Outcome(**outcomes[name]) if name in outcomes else None
+        case, truth = Case.of_table(table["case"]), table.get("truth") or {}
+        outcome = Outcome(**outcomes[name]) if name in outcomes else None
         if outcome is None or outcome.error or not outcome.diagnosis:
             lost.append(LostCase(name, case.kind, case.plan, _why(outcome)))
             continue
-        if _is_idle(table.get("truth") or {}):
+        if _is_idle(truth):
             idle += 1
             continue
-        answers.append(Answer(case, active_mechanisms(case, table.get("truth") or {}), outcome))
-        differing += _differs(case, table.get("truth") or {})
+        answers.append(Answer(case, active_mechanisms(case, truth), outcome))
+        differing += _differs(case, truth)
     lost += _without_truth(planned, sealed, outcomes)
-    with_controls = list(_with_controls(answers))
+    causes = {answer.case.name: answer.causes for answer in answers}
+    with_controls = [replace(answer, known=causes.get(answer.case.control, ())) for answer in answers]
     answers = [answer for answer in with_controls if not answer.is_in_control]
     answers.sort(key=lambda answer: (answer.case.half, answer.case.number))
     same = len(with_controls) - len(answers)
@@ -251,13 +250,6 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Valid
         f" are not counted.": idle,
     }
     return ValidationRun(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
-
-
-def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
-    """Yield the answers with the causes reported for their controls."""
-    causes = {answer.case.name: answer.causes for answer in answers}
-    for answer in answers:
-        yield replace(answer, known=causes.get(answer.case.control, ()))
 
 
 def _is_known(cause: Cause, known: Iterable[Cause]) -> bool:
@@ -282,7 +274,7 @@ def _can_be_same(cause: Cause, other: Cause) -> bool:
 
 def active_mechanisms(case: Case, truth: Mapping[str, Any]) -> tuple[ActiveMechanism, ...]:
     """Return the mechanisms that were active in a case, with the sensors of its truth."""
-    mechanisms = _told(truth) or [{} for _ in case.puts]
+    mechanisms = truth.get("mechanisms") or [{} for _ in case.puts]
     same = len(case.resembles) == len(case.puts)
     names = case.resembles if same else tuple(tuple(mechanism.get("resembles", ())) for mechanism in mechanisms)
     return tuple(
@@ -325,10 +317,6 @@ def _axes(parameters: Mapping[str, Any]) -> Iterable[str]:
     return {sign for sign in named if sign in "xyz"} if isinstance(named, str | list) else ()
 
 
-def _told(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    return list(truth.get("mechanisms") or ())
-
-
 def _is_idle(truth: Mapping[str, Any]) -> bool:
     """Return whether a mechanism that logs the sensors it affects affected none in any log."""
     said: dict[str, bool] = {}
@@ -340,7 +328,7 @@ def _is_idle(truth: Mapping[str, Any]) -> bool:
 
 def _differs(case: Case, truth: Mapping[str, Any]) -> bool:
     """Return whether the plan and the generator disagree about the names of a mechanism."""
-    generated = [set(mechanism.get("resembles", ())) for mechanism in _told(truth)]
+    generated = [set(mechanism.get("resembles", ())) for mechanism in truth.get("mechanisms") or ()]
     return bool(case.resembles and generated) and [set(names) for names in case.resembles] != generated
 
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from math import isclose, isfinite, nan
+from math import inf, isclose, isfinite, nan
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
 from imuarray.validation.rates import (
     Bin,
     RateEstimate,
@@ -28,7 +27,7 @@ from imuarray.validation.rates import (
     rate,
     reliability,
 )
-from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, ActiveMechanism, Answer, meets, number, probability
+from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, Answer, meets, number, probability
 
 Bar = tuple[float | None, float | None]
 """Least and greatest value allowed; None: no bound."""
@@ -149,7 +148,10 @@ def group_answers(group: str, answers: Iterable[Answer]) -> Mapping[str, Sequenc
     several. Severities are in ascending order, the others by name.
     """
     groups: dict[str, list[Answer]] = {}
-    for answer in sorted(answers, key=_by_limits if group == "severity" else _GROUPS[group]):
+    order: Callable[[Answer], Any] = _GROUPS[group]
+    if group == "severity":
+        order = lambda answer: answer.limits if isfinite(answer.limits) else inf  # noqa: E731
+    for answer in sorted(answers, key=order):
         for name in _GROUPS[group](answer):
             groups.setdefault(name, []).append(answer)
     return dict(sorted(groups.items())) if group in ("experiment", "chip", "stratum") else groups
@@ -176,10 +178,6 @@ def cells_of(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], b
     parts = group_answers(group, answers)
     for name, own in parts.items() if len(parts) > 1 or group == "plan" else ():
         yield make_row(name, rate_of(own, is_hit), bar, "", group=group)
-
-
-def _by_limits(answer: Answer) -> float:
-    return answer.limits if isfinite(answer.limits) else float("inf")
 
 
 def _within(value: float, other: float, bar: Bar) -> bool:
@@ -352,7 +350,11 @@ def cause_rows(
 
     yield rate_row("right sensor and axis", right, is_right, PLACE, about, Breakdown(full))
     yield from _unknown_rows(answers, singles, full, seed)
-    yield from _pair_rows([answer for answer in answers if answer.case.kind == "pair"], full)
+    pairs = [answer for answer in answers if answer.case.kind == "pair"]
+    about = "every mechanism has a likely cause (probability 0.5) of a right name at one of its sensors"
+    for name, is_apart, bar in (("on different units", True, APART), ("on one sensor", False, TOGETHER)):
+        own = [pair for pair in pairs if _are_disjoint([work.sensors for work in pair.active]) == is_apart]
+        yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, Breakdown(full))
     removals = [answer for answer in answers if answer.case.kind == "removal"]
     about = "the model has an effect that the sensors lack: a likely cause removes or replaces it"
     yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, Breakdown(full))
@@ -386,7 +388,7 @@ def are_both_named(answer: Answer) -> bool:
     only if they have a name in common.
     """
     works, causes = answer.active, answer.named
-    if _share_a_name(works):
+    if not _are_disjoint([work.resembles for work in works]):
         return all(any(work.is_located_by(cause) for cause in causes) for work in works)
     return any(
         all(work.is_located_by(cause) for work, cause in zip(works, chosen, strict=True))
@@ -424,7 +426,9 @@ def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
     counted = [answer for answer in on_plan(answers, full) if len(answer.active) < 2 and answer.case.kind != "removal"]
     rows: dict[str, list[Answer]] = {}
     for answer in sorted(counted, key=_row_order):
-        rows.setdefault(_row_name(answer), []).append(answer)
+        withheld = " (withheld)" if answer.case.kind == "withheld" else ""
+        name = f"{answer.mechanisms}{withheld}" if answer.active else "nothing wrong"
+        rows.setdefault(name, []).append(answer)
     names = {
         name: sorted({effect for answer in own for work in answer.active for effect in work.resembles})
         for name, own in rows.items()
@@ -453,7 +457,8 @@ def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: st
     yield rate_row("unknown called unexplained or partly", strangers, _is_open, UNKNOWN, about, Breakdown(full, groups))
     known = [answer for answer in singles if isclose(answer.limits, LARGE)]
     about = f"detected single mechanisms at {severity_name(LARGE)} that the library names: the verdict"
-    yield rate_row("known at 5x called unexplained", known, _is_unexplained, FALSE_UNKNOWN, about, Breakdown(full))
+    is_unexplained: Callable[[Answer], bool] = lambda answer: answer.verdict == "unexplained"  # noqa: E731
+    yield rate_row("known at 5x called unexplained", known, is_unexplained, FALSE_UNKNOWN, about, Breakdown(full))
     yield rate_row("known at 5x called unexplained or partly", known, _is_open, NO_BAR, about, Breakdown(full))
     yield from _unknown_scores(on_plan(strangers, full), known, singles, full, seed)
 
@@ -478,13 +483,6 @@ def _unknown_scores(
         "against known ones of every size", bootstrap(auroc, above, every, seed=seed), NO_BAR, "", group="severity"
     )
     yield make_row("unknown against known at 5x, AUROC", area, UNKNOWN, about, [cell])
-
-
-def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
-    for name, is_apart, bar in (("on different units", True, APART), ("on one sensor", False, TOGETHER)):
-        own = [answer for answer in pairs if _are_apart(answer.active) == is_apart]
-        about = "every mechanism has a likely cause (probability 0.5) of a right name at one of its sensors"
-        yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, Breakdown(full))
 
 
 def _control(singles: Sequence[Answer], seed: int) -> ScoreRow:
@@ -512,30 +510,13 @@ def _is_open(answer: Answer) -> bool:
     return answer.verdict in _OPEN
 
 
-def _is_unexplained(answer: Answer) -> bool:
-    return answer.verdict == "unexplained"
-
-
-def _are_apart(works: Sequence[ActiveMechanism]) -> bool:
-    """Return whether no sensor has two of the mechanisms."""
-    every = [sensor for work in works for sensor in work.sensors]
-    return len(every) == len(set(every))
-
-
-def _share_a_name(works: Sequence[ActiveMechanism]) -> bool:
-    every = [effect for work in works for effect in work.resembles]
-    return len(every) > len(set(every))
+def _are_disjoint(sets: Sequence[Collection[str]]) -> bool:
+    return len(set().union(*sets)) == sum(map(len, sets))
 
 
 def _row_order(answer: Answer) -> tuple[int, list[str], str]:
     rank = {"none": 3, "unnamed": 2, "withheld": 1}.get(answer.case.kind, 0)
     return rank, sorted(effect for work in answer.active for effect in work.resembles), answer.mechanisms
-
-
-def _row_name(answer: Answer) -> str:
-    if not answer.active:
-        return "nothing wrong"
-    return f"{answer.mechanisms} (withheld)" if answer.case.kind == "withheld" else answer.mechanisms
 
 
 def _is_right_column(answers: Sequence[Answer], column: str) -> bool:
@@ -662,7 +643,7 @@ def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
     ]
     claims = [value for value in wrong if isfinite(value)]
     about = "single mechanisms that were detected, the first cause a wrong one: the mean share that it claims to close"
-    return make_row("closure claimed for a wrong cause", bootstrap(_mean, claims, seed=seed), WRONG, about)
+    return make_row("closure claimed for a wrong cause", bootstrap(np.mean, claims, seed=seed), WRONG, about)
 
 
 def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
@@ -675,11 +656,7 @@ def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
         if answer.case.kind == "withheld"
     ]
     about = "detected, the right cause withheld: the mean share that it claims to close, 0 where it claims none"
-    return make_row("closure claimed without the right cause", bootstrap(_mean, claims, seed=seed), NO_BAR, about)
-
-
-def _mean(drawn: Floats) -> float:
-    return float(np.mean(drawn))
+    return make_row("closure claimed without the right cause", bootstrap(np.mean, claims, seed=seed), NO_BAR, about)
 
 
 def _probabilities(answers: Sequence[Answer]) -> list[tuple[list[float], list[bool]]]:

@@ -22,7 +22,6 @@ from dataclasses import dataclass, field, replace
 from math import isclose, isfinite
 from os import PathLike
 from textwrap import wrap
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from imuarray.json_values import json_value
@@ -122,33 +121,29 @@ def split_figures(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigur
 
 
 WIDTH = 120
-NOTHING: Hidden = MappingProxyType({})
+NOTHING: Hidden = {}
 
-BARS_ELSEWHERE: Mapping[str, Mapping[str, Bar]] = MappingProxyType(
-    {
-        "foreign": MappingProxyType(
-            {
-                "false alarms": (0.03, 0.08),
-                "detection at 2x the limit": (0.75, None),
-                "detection at 5x the limit": (0.95, None),
-                "right cause first": (0.80, None),
-                "right cause first, 5x and above": (0.90, None),
-                "right within the reported class": (0.92, None),
-                "right sensor and axis": (0.95, None),
-                "unknown called unexplained or partly": (0.85, None),
-                "unknown against known at 5x, AUROC": (0.85, None),
-                "two on different units, both named": (0.60, None),
-                "two on one sensor, both named": (0.40, None),
-                "closure near the oracle's": (0.85, None),
-                "closure's interval covers the oracle's": (0.88, 0.97),
-                "closure claimed for a wrong cause": (None, 0.35),
-                "calibration error (ECE)": (None, 0.10),
-                "Brier score of causes": (None, 0.18),
-            }
-        ),
-        "real": MappingProxyType({"right cause first, 5x and above": (0.80, None)}),
-    }
-)
+BARS_ELSEWHERE: Mapping[str, Mapping[str, Bar]] = {
+    "foreign": {
+        "false alarms": (0.03, 0.08),
+        "detection at 2x the limit": (0.75, None),
+        "detection at 5x the limit": (0.95, None),
+        "right cause first": (0.80, None),
+        "right cause first, 5x and above": (0.90, None),
+        "right within the reported class": (0.92, None),
+        "right sensor and axis": (0.95, None),
+        "unknown called unexplained or partly": (0.85, None),
+        "unknown against known at 5x, AUROC": (0.85, None),
+        "two on different units, both named": (0.60, None),
+        "two on one sensor, both named": (0.40, None),
+        "closure near the oracle's": (0.85, None),
+        "closure's interval covers the oracle's": (0.88, 0.97),
+        "closure claimed for a wrong cause": (None, 0.35),
+        "calibration error (ECE)": (None, 0.10),
+        "Brier score of causes": (None, 0.18),
+    },
+    "real": {"right cause first, 5x and above": (0.80, None)},
+}
 """The bars of the figures in other worlds; figures that are not listed have no bar there."""
 
 TRANSFERRED = tuple(BARS_ELSEWHERE["foreign"])

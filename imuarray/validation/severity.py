@@ -143,7 +143,8 @@ class _LogPair:
         rows = min(len(self.time), len(self.new_time))
         self.rows = rows
         self.quiet = _quiet(self.counts[:rows])
-        self.noise = _density(self.counts[:rows], self.quiet) * _louder(self.counts, self.new_counts)
+        gain = np.maximum(_leap(self.new_counts) / _leap(self.counts), 1.0) ** 2  # of the variance of white noise
+        self.noise = _density(self.counts[:rows], self.quiet) * gain
         self.row_sigma = _row_sigma(self.counts[:rows], self.quiet)
         self.new_row_sigma = _row_sigma(self.new_counts[:rows], self.quiet)
         # Rounding noise always differs; the correlation of powers is the square of that of the noise.
@@ -195,20 +196,14 @@ def _unknown_tilt(log: Log, sensor: SensorLog) -> float:
 
 def _track(log: Log) -> tuple[Floats, Floats, Floats, Floats] | None:
     """Return times, force, rate and temperature of a log's reference; None if one of them is missing."""
-    commanded = log.reference
-    if (
-        commanded is None
-        or commanded.specific_force is None
-        or commanded.angular_rate is None
-        or commanded.temperature is None
-    ):
+    track = log.reference
+    if track is None or len(track.time) < 2:
         return None
-    if len(commanded.time) < 2:
+    columns = [track.time, track.specific_force, track.angular_rate, track.temperature]
+    known = [np.asarray(column[:], np.float64) for column in columns if column is not None]
+    if len(known) < len(columns):
         return None
-    time, force, rate, degc = (
-        np.asarray(values[:], np.float64)
-        for values in (commanded.time, commanded.specific_force, commanded.angular_rate, commanded.temperature)
-    )
+    time, force, rate, degc = known
     return time, force, rate, degc
 
 
@@ -242,12 +237,6 @@ def _density(counts: Floats, quiet: Booleans) -> Floats:
     spectra = _spectra(counts, quiet)
     low = spectra[:, 2:8].mean(axis=(0, 1)) if len(spectra) else counts.var(axis=0) if len(counts) else np.ones(3)
     return np.maximum(low, 1 / 12)
-
-
-def _louder(counts: Floats, new_counts: Floats) -> Floats:
-    """Return (3,) the variance of white noise with the effect over that without it, at least 1."""
-    before, after = (_leap(values) for values in (counts, new_counts))
-    return np.asarray(np.maximum(after / before, 1.0) ** 2)
 
 
 def _leap(counts: Floats) -> Floats:

@@ -35,7 +35,7 @@ from imuarray.validation.bench import limit
 from imuarray.validation.case import Case, Outcome, Put, write_json
 from imuarray.validation.case_folder import read_case
 from imuarray.validation.generator import mechanisms, record, record_in
-from imuarray.validation.severity import FURTHEST, SeverityFit, find_severity, matched_statistic
+from imuarray.validation.severity import FURTHEST, find_severity, matched_statistic
 from imuarray.validation.worlds import draw_world
 
 _KEPT = ("verdict", "sentence", "p", "gap", "causes", "unknown", "cannot_tell", "notes")
@@ -104,7 +104,10 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
                 plain, changed = ([stack.enter_context(open_log(path)) for path in logs] for logs in paths)
                 return matched_statistic(plain, changed, has_track=world["recorder"]["reference"])
 
-            puts.append(_with_severity(put, find_severity(statistic, put.limits, first)))
+            fit = find_severity(statistic, put.limits, first)  # nominal limits stay if they were reached
+            puts.append(
+                replace(put, severity=fit.severity, limits=put.limits if math.isfinite(fit.limits) else math.nan)
+            )
     named = [replace(put, limits=wanted.limits) for put, wanted in zip(puts, case.puts, strict=True)]
     logs = written(*named)
     if not world["recorder"]["reference"]:
@@ -112,11 +115,6 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
             leave_reference_out(path)
     truth = {**made[tuple(named)][1], "world": world, "limits": [put.limits for put in puts]}
     return CaseRecording(replace(case, puts=tuple(puts)), logs, truth)
-
-
-def _with_severity(put: Put, fit: SeverityFit) -> Put:
-    """Return the placement with this severity; it keeps its nominal limits if they were reached."""
-    return replace(put, severity=fit.severity, limits=put.limits if math.isfinite(fit.limits) else math.nan)
 
 
 def leave_reference_out(path: Path) -> None:

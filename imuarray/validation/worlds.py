@@ -17,11 +17,11 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
+import tomli_w
 
 from imuarray.chips import CHIPS
 
@@ -51,20 +51,16 @@ _STEPS = tuple(math.sqrt(number) % 1 for number in range(2, 80) if all(number % 
 ]
 """Square roots of primes: no two quantities have commensurable periods."""
 
-_ADDRESSES: Mapping[str, tuple[int, ...]] = MappingProxyType(
-    {chip: CHIPS[chip].addresses for chip in ("adxl345", "bma180", "l3g4200d")}
-)
+_ADDRESSES: Mapping[str, tuple[int, ...]] = {chip: CHIPS[chip].addresses for chip in ("adxl345", "bma180", "l3g4200d")}
 _CHANNELS = 4
-_FACES: Mapping[str, tuple[float, float, float]] = MappingProxyType(
-    {
-        "+Z": (0.0, 0.0, 1.0),
-        "+X": (1.0, 0.0, 0.0),
-        "+Y": (0.0, 1.0, 0.0),
-        "-X": (-1.0, 0.0, 0.0),
-        "-Y": (0.0, -1.0, 0.0),
-        "-Z": (0.0, 0.0, -1.0),
-    }
-)
+_FACES: Mapping[str, tuple[float, float, float]] = {
+    "+Z": (0.0, 0.0, 1.0),
+    "+X": (1.0, 0.0, 0.0),
+    "+Y": (0.0, 1.0, 0.0),
+    "-X": (-1.0, 0.0, 0.0),
+    "-Y": (0.0, -1.0, 0.0),
+    "-Z": (0.0, 0.0, -1.0),
+}
 _AXES = tuple(
     f"{a}{x}{b}{y}{c}{z}"
     for x, y, z in itertools.permutations("XYZ")
@@ -89,19 +85,15 @@ BUSY_SHARE, BUSY_MS = (0.005, 0.03), (0.05, 0.4)
 STALLS_PER_MIN, STALL_S = (0.5, 2.0), (0.2, 2.0)
 """Stalls of a recorder per minute, and their duration in s: least and greatest of each."""
 
-_LEAST_S: Mapping[str, float] = MappingProxyType(
-    {"static": 20.0, "tumble": 42.0, "heating": 45.0, "turn-on": 20.0, "motion": 20.0}
-)
+_LEAST_S: Mapping[str, float] = {"static": 20.0, "tumble": 42.0, "heating": 45.0, "turn-on": 20.0, "motion": 20.0}
 """The shortest useful duration of each experiment, in s."""
-_USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
-    {
-        "static": (40.0, 300.0),
-        "tumble": (60.0, 180.0),
-        "heating": (120.0, 300.0),
-        "turn-on": (30.0, 100.0),
-        "motion": (25.0, 80.0),
-    }
-)
+_USUAL_S: Mapping[str, tuple[float, float]] = {
+    "static": (40.0, 300.0),
+    "tumble": (60.0, 180.0),
+    "heating": (120.0, 300.0),
+    "turn-on": (30.0, 100.0),
+    "motion": (25.0, 80.0),
+}
 """The usual durations in s, if the limits of time and rows allow them."""
 
 
@@ -223,25 +215,14 @@ def draw_world(seed: int) -> World:
         "draught": "there" if room["draught_degc"] else "none",
         "vibration": _choice(even["vibration"], _VIBRATIONS),
     }
-    return World(
-        seed,
-        _toml(sensors),
-        {
-            sensor["name"]: WorldSensor(
-                sensor["chip"],
-                sensor.get("range", 0.0),
-                sensor.get("axes", ""),
-                sensor["address"],
-                rates[sensor["name"]],
-            )
-            for sensor in sensors
-        },
-        kinds,
-        tuple(sessions),
-        room,
-        recorder,
-        strata,
-    )
+    array = {"name": "bench", "mux": {"chip": "pca9544a", "address": 0x70}}
+    known = {
+        name: WorldSensor(chip, sensor.get("range", 0.0), sensor.get("axes", ""), sensor["address"], rates[name])
+        for sensor in sensors
+        for name, chip in [(sensor["name"], sensor["chip"])]
+    }
+    text = tomli_w.dumps({"array": array, "sensor": sensors})
+    return World(seed, text, known, kinds, tuple(sessions), room, recorder, strata)
 
 
 def _stream(seed: int, key: str) -> np.random.Generator:
@@ -291,17 +272,9 @@ def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: fl
         range_ = common[chip] if twins else _range(chip, random)
         number = 1 + sum(sensor["chip"] == chip for sensor in sensors)
         name = f"{'Gyro' if chip == 'l3g4200d' else chip[:3].upper()}{number}"
-        sensors.append(
-            {
-                "name": name,
-                "chip": chip,
-                "channel": channel,
-                "address": address,
-                "range": range_,
-                **_filter(chip, random),
-                "axes": str(random.choice(_AXES)),
-            }
-        )
+        place = {"channel": channel, "address": address, "range": range_}
+        settings = _filter(chip, random)
+        sensors.append({"name": name, "chip": chip, **place, **settings, "axes": str(random.choice(_AXES))})
     if even["barometer"] < 0.4:
         sensors.append({"name": "Baro", "chip": "bmp180", "channel": 0, "address": CHIPS["bmp180"].addresses[0]})
     if even["magnetometer"] < 0.3:
@@ -502,9 +475,7 @@ def _motion(seconds: float, random: np.random.Generator, even: Mapping[str, floa
     return [_session("motion", seconds, [pose], phases, motions=motions)]
 
 
-_SESSIONS = MappingProxyType(
-    {"static": _static, "tumble": _tumble, "heating": _heating, "turn-on": _turn_on, "motion": _motion}
-)
+_SESSIONS = {"static": _static, "tumble": _tumble, "heating": _heating, "turn-on": _turn_on, "motion": _motion}
 
 
 def _label(session: Table, labels: str, random: np.random.Generator) -> Table:
@@ -557,17 +528,3 @@ def _room(even: Mapping[str, float], random: np.random.Generator) -> Table:
         "vibrations": vibrations,
         "draught_degc": swings if even["draught"] < 0.4 else 0.0,
     }
-
-
-def _toml(sensors: Sequence[Table]) -> str:
-    """Return the TOML of an array with a multiplexer."""
-    lines = ["[array]", 'name = "bench"', 'mux = { chip = "pca9544a", address = 0x70 }']
-    for sensor in sensors:
-        lines += ["[[sensor]]", *(f"{key} = {_value(value)}" for key, value in sensor.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else f"{value!r}"
