@@ -69,17 +69,10 @@ def _axes(sensor: SensorCalibration) -> Iterator[list[str]]:
         sem = None if sensor.bias_sem_lsb is None else per_count * sensor.bias_sem_lsb[axis]
         response = None if sensor.response_sem_lsb_per_unit is None else sensor.response_sem_lsb_per_unit[axis]
         noise = None if sensor.noise_lsb is None else per_count * sensor.noise_lsb[axis]
-        yield [
-            f"{sensor.name} {'xyz'[axis]}",
-            unit,
-            "–" if sem is None and not bias.any() else f"{bias[axis]:.3f}",
-            _or_none(sem),
-            f"{scale[axis]:.4g}",
-            _or_none(response),
-            f"{angles[axis, 0]:.2f}",
-            f"{angles[axis, 1]:.2f}",
-            _or_none(noise),
-        ]
+        bias_text = "–" if sem is None and not bias.any() else f"{bias[axis]:.3f}"
+        directions = [f"{angle:.2f}" for angle in angles[axis]]
+        figures = [bias_text, _or_none(sem), f"{scale[axis]:.4g}", _or_none(response), *directions, _or_none(noise)]
+        yield [f"{sensor.name} {'xyz'[axis]}", unit, *figures]
 
 
 def _slopes(sensor: SensorCalibration) -> Iterator[list[str]]:
@@ -89,17 +82,8 @@ def _slopes(sensor: SensorCalibration) -> Iterator[list[str]]:
     for axis in range(3):
         per_count = factor / sensor.scale_lsb_per_unit[axis]
         slope, sem = thermal.slope_lsb_per_degc[axis], thermal.slope_sem_lsb_per_degc[axis]
-        name = f"{sensor.name} {'xyz'[axis]}"
-        lag = f"{thermal.significant_lag_s:.0f}"
-        yield [
-            name,
-            unit,
-            f"{per_count * slope:.4f}",
-            f"{per_count * sem:.4f}",
-            lag,
-            thermal.thermometer,
-            thermal.meaning[axis],
-        ]
+        figures = [f"{per_count * slope:.4f}", f"{per_count * sem:.4f}", f"{thermal.significant_lag_s:.0f}"]
+        yield [f"{sensor.name} {'xyz'[axis]}", unit, *figures, thermal.thermometer, thermal.meaning[axis]]
 
 
 def _turn_on(sensor: SensorCalibration) -> Iterator[list[str]]:

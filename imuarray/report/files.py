@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from imuarray.calibrate import Calibration, load_calibration
@@ -70,21 +69,20 @@ def _log(path: Path, context: PageContext) -> PagePart:
             sensor for sensor in log.sensors.values() if sensor.name in calibration.sensors and sensor.is_triad
         ]
         scales = calibration.scales(calibrated)
+        with_figures = context.with_figures
         noise, techniques = (
             (lambda share: context.progress(_NOISE * share)),
             (lambda share: context.progress(_NOISE + (1 - _NOISE) * share)),
         )
-        sections = list(
-            log_sections(log, scales, with_figures=context.with_figures, progress=noise, calibration=calibration)
-        )
-        if calibrated and (residuals := residual_section(log, calibration, with_figures=context.with_figures)):
+        sections = list(log_sections(log, scales, with_figures=with_figures, progress=noise, calibration=calibration))
+        if calibrated and (residuals := residual_section(log, calibration, with_figures=with_figures)):
             sections.append(residuals)
         doubts = report_of(log).doubts if log.source == "imported" else ()
         sections[:0] = doubt_sections(log, doubts)
         verdicts = [recording_verdict(log, doubts)]
         with _second_process(log, context.workers) as executor:
             gains = techniques_section(
-                log, calibration, with_figures=context.with_figures, progress=techniques, executor=executor
+                log, calibration, with_figures=with_figures, progress=techniques, executor=executor
             )
         if gains:
             sections.append(gains.section)
@@ -117,7 +115,7 @@ def _gap(path: Path, context: PageContext) -> PagePart:
     from imuarray.gap.findings.diagnosis import diagnosis_of
     from imuarray.report.gap_page import gap_sections, gap_summary, gap_verdict
 
-    diagnosis = diagnosis_of(_json(path), str(path))
+    diagnosis = diagnosis_of(_content(path), str(path))
     sections = gap_sections(diagnosis, with_figures=context.with_figures)
     return PagePart([gap_verdict(diagnosis)], list(gap_summary(diagnosis)), sections)
 
@@ -133,26 +131,6 @@ def _validation(path: Path, context: PageContext) -> PagePart:
     return PagePart([validation_verdict(figures)], list(summary_lines(figures)), validation_sections(figures, plots))
 
 
-def _is_log(path: Path) -> bool:
-    return path.is_file() and path.suffix in (".h5", ".hdf5")
-
-
-def _is_calibration(path: Path) -> bool:
-    return path.suffix == ".toml" and "calibration" in _toml(path)
-
-
-def _is_fused(path: Path) -> bool:
-    return path.is_file() and is_fused(path)
-
-
-def _is_diagnosis(path: Path) -> bool:
-    return isinstance(table := _json(path), Mapping) and {"verdict", "causes"} <= set(table)
-
-
-def _is_validation(path: Path) -> bool:
-    return (path / "plan.json").is_file()
-
-
 class FileKind(NamedTuple):
     """A kind of file: how it is recognised, and what it contributes to a page."""
 
@@ -160,15 +138,13 @@ class FileKind(NamedTuple):
     part: Callable[[Path, PageContext], PagePart]
 
 
-KINDS: Mapping[str, FileKind] = MappingProxyType(
-    {
-        "log": FileKind(_is_log, _log),
-        "calibration": FileKind(_is_calibration, _calibration),
-        "fused result": FileKind(_is_fused, _fused),
-        "gap diagnosis": FileKind(_is_diagnosis, _gap),
-        "validation run": FileKind(_is_validation, _validation),
-    }
-)
+KINDS: Mapping[str, FileKind] = {
+    "log": FileKind(lambda path: path.is_file() and path.suffix in (".h5", ".hdf5"), _log),
+    "calibration": FileKind(lambda path: path.suffix == ".toml" and "calibration" in _content(path), _calibration),
+    "fused result": FileKind(lambda path: path.is_file() and is_fused(path), _fused),
+    "gap diagnosis": FileKind(lambda path: {"verdict", "causes"} <= {*_content(_file_of(path))}, _gap),
+    "validation run": FileKind(lambda path: (path / "plan.json").is_file(), _validation),
+}
 """The kinds of files that a page can show, in the order of a page. The last ones are tried first, because a fused
 result has the suffix of a log.
 """
@@ -249,21 +225,13 @@ def _file_of(path: Path) -> Path:
     return path / "gap.json" if (path / "gap.json").is_file() else path
 
 
-def _json(path: Path) -> Any:
-    """Return the content of a JSON file, or of the `gap.json` of a folder; None if it is no JSON."""
-    place = _file_of(path)
-    if place.suffix != ".json" or not place.is_file() or place.stat().st_size > _MOST_BYTES:
-        return None
-    try:
-        return json.loads(place.read_text(encoding="utf-8"))
-    except (ValueError, OSError, RecursionError):
-        return None
-
-
-def _toml(path: Path) -> Mapping[str, Any]:
-    if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+def _content(path: Path) -> Mapping[str, Any]:
+    """Return the table in a JSON or TOML file; {} if there is none."""
+    parse = {".json": json.loads, ".toml": tomllib.loads}.get(path.suffix)
+    if parse is None or not path.is_file() or path.stat().st_size > _MOST_BYTES:
         return {}
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        table = parse(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError):
         return {}
+    return table if isinstance(table, Mapping) else {}

@@ -18,7 +18,6 @@ from imuarray.calibrate.noise import with_noise_of
 from imuarray.errors import ImuArrayError
 from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import (
-    FusedBlock,
     FusedHead,
     Score,
     TechniqueComparison,
@@ -68,7 +67,6 @@ def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
 
 
 def _failed_sensors(path: Path) -> list[str]:
-    """Return the sensors that were excluded for part of the time."""
     return sorted({event.sensor for event in read_fused_events(path) if event.state == "isolated"})
 
 
@@ -82,9 +80,8 @@ def fused_sections(path: Path, head: FusedHead, *, with_figures: bool) -> tuple[
         own = series.sigma.get(quantity)
         for axis in range(3):
             deviation = f"{factor * own[axis]:.3f}" if own is not None and 0 < own[axis] < np.inf else "–"
-            rows.append(
-                [f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", deviation]
-            )
+            name = f"{quantity.replace('_', ' ')} {'XYZ'[axis]}"
+            rows.append([name, unit, f"{factor * values[axis]:.3f}", deviation])
     heading = ["box axis", "unit", "scatter at rest", "claimed error"]
     caption = (
         "Scatter from frame to frame in the quietest quarter, and the standard error that the result claims there."
@@ -149,7 +146,9 @@ def _time_series(path: Path, frames: int) -> _TimeSeries:
             triads.setdefault(quantity, []).append(np.add.reduceat(rows, first) / counts[:, None])
         for quantity, rows in block.covariances.items():
             variances.setdefault(quantity, []).append(_means(rows[:, :3], first))
-        _add_use(block, used)
+        for quantity, bits in block.used.items():
+            counts_by_axis = np.stack([(bits & bit != 0).sum(axis=0) for bit in (1, 2, 4)], axis=1).astype(float)
+            used[quantity] = used.get(quantity, 0.0) + counts_by_axis
     return _TimeSeries(
         np.concatenate(times) if times else np.zeros(0),
         {quantity: np.concatenate(parts) for quantity, parts in triads.items()},
@@ -174,12 +173,6 @@ def _quiet_error(variances: Floats) -> Floats:
     finite = variances[np.isfinite(variances).all(axis=1)]
     quartile = np.quantile(finite, 0.25, axis=0) if len(finite) else np.full(3, np.nan)
     return np.asarray(np.sqrt(np.maximum(quartile, 0.0)))
-
-
-def _add_use(block: FusedBlock, used: dict[str, Floats]) -> None:
-    for quantity, bits in block.used.items():
-        counts = np.stack([(bits & bit != 0).sum(axis=0) for bit in (1, 2, 4)], axis=1).astype(float)
-        used[quantity] = used.get(quantity, 0.0) + counts
 
 
 _Z95 = 1.96
@@ -259,15 +252,8 @@ def _table(comparison: TechniqueComparison) -> Table:
         axes = [f"{factor * value:.3f}" for value in score.error.rms]
         name = f"{score.technique}: {score.quantity.replace('_', ' ')}"
         rows.append([name, unit, *axes, f"{ratio.ratio:.3f}{interval}", claimed])
-    heading = [
-        "technique",
-        "unit",
-        "rms X",
-        "rms Y",
-        "rms Z",
-        "ratio to average (95 %)",
-        "actual/claimed squared error",
-    ]
+    rms = [f"rms {axis}" for axis in "XYZ"]
+    heading = ["technique", "unit", *rms, "ratio to average (95 %)", "actual/claimed squared error"]
     caption = (
         "The last column is the squared error divided by the squared error that the result claims, in brackets the"
         " interval in which it should lie. Above the interval, the errors are larger than claimed."

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isfinite, isnan, log
 from textwrap import fill
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from imuarray.gap.findings.diagnosis import Gap, Map, Overlay
 
-LOGARITHMIC: Mapping[str, str] = MappingProxyType({"spectrum": "xy", "allan": "xy", "temperature": "", "codes": ""})
+LOGARITHMIC: Mapping[str, str] = {"spectrum": "xy", "allan": "xy", "temperature": "", "codes": ""}
 """Logarithmic axes of an overlay, by kind."""
 
 
@@ -47,7 +46,8 @@ def shrink_figure(gap: Gap) -> Figure:
         ends = np.where(np.isfinite(values), values, gap.floor)
         panel.barh(places + shift, ends - gap.floor, 0.34, left=gap.floor, color=colour, label=label)
         for place, value, end in zip(places + shift, values, ends, strict=True):
-            _write_behind(panel, scored(float(value)), max(end, gap.floor), place)
+            at = max(end, gap.floor), place
+            panel.annotate(scored(float(value)), at, (4, 0), textcoords="offset points", fontsize=8.5, va="center")
     panel.axvline(gap.floor, color=REAL, linewidth=1.3, linestyle="--", label="no gap")
     _finish_rows(panel, names, "rms score (standard deviations of chance)")
     shown = np.append(scores[np.isfinite(scores)], gap.floor)
@@ -146,10 +146,6 @@ def place_of(overlay: Overlay) -> str:
 def _drawable(values: Floats, logarithmic: str) -> Floats:
     """Replace values that a logarithmic scale cannot show by nan."""
     return np.where((values > 0) | ("y" not in logarithmic), values, np.nan)
-
-
-def _write_behind(panel: Axes, text: str, end: float, place: float) -> None:
-    panel.annotate(text, (end, place), xytext=(4, 0), textcoords="offset points", fontsize=8.5, va="center")
 
 
 def _finish_rows(panel: Axes, names: Sequence[str], label: str) -> None:

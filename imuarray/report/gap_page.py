@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from os import PathLike
-from types import MappingProxyType
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from imuarray.gap.findings.diagnosis import (
     CandidateEvaluation,
     Cause,
     Diagnosis,
-    Gap,
     Map,
     Overlay,
     Pull,
@@ -138,7 +136,8 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
         p = chance(diagnosis.p, diagnosis.replicates).removeprefix("p ").removeprefix("= ")
         figures.insert(0, (p, "probability of such a difference by chance alone"))
     if (worst := _worst_use(diagnosis.uses)) is not None:
-        figures.append((f"{number(worst.before.value / worst.real.value, 2)} ×", _use_words(worst)))
+        words = f"{worst.sensor or 'array'} {worst.name}: simulated divided by recorded; the largest difference"
+        figures.append((f"{number(worst.before.value / worst.real.value, 2)} ×", words))
     return Verdict(sentence, levels.get(diagnosis.verdict, "doubtful"), tuple(figures))
 
 
@@ -182,10 +181,6 @@ def _worst_use(uses: Sequence[Use]) -> Use | None:
         key=lambda use: abs(np.log(use.before.value / use.real.value)),
         default=None,
     )
-
-
-def _use_words(use: Use) -> str:
-    return f"{use.sensor or 'array'} {use.name}: simulated divided by recorded; the largest difference"
 
 
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
@@ -373,17 +368,20 @@ def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
         )
     if uses:
         words += " The figures in physical units show what the difference means in practice."
-    figures = [*_shrink_figures(gap), *_use_figures(uses)] if with_figures else []
-    closing = [] if gap.closed is None else [_shrink_table(gap)]
-    more = [_uses_table(uses)] if uses else []
-    return Section("How much of the gap closes", words, [*figures, *closing, *more])
-
-
-def _shrink_table(gap: Gap) -> Table:
-    rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
-    for domain, (before, after, closed) in gap.domains.items():
-        rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])
-    return Table(["domain", "before", "after", "closed"], rows, f"Rms score; {number(gap.floor)} without a gap.")
+    figures: Parts = []
+    if with_figures and gap.closed is not None and np.isfinite([gap.before, gap.after, gap.floor]).all():
+        caption = "Scores before and after the causes were added. At the dashed floor there is no gap."
+        figures.append(SmallFigure(shrink_figure(gap), caption, f"Bars by domain. Overall: {gap_text(gap)}."))
+    figures += _use_figures(uses) if with_figures else []
+    tables = []
+    if gap.closed is not None:
+        rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
+        for domain, (before, after, closed) in gap.domains.items():
+            rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])
+        caption = f"Rms score; {number(gap.floor)} without a gap."
+        tables.append(Table(["domain", "before", "after", "closed"], rows, caption))
+    tables += [_uses_table(uses)] if uses else []
+    return Section("How much of the gap closes", words, [*figures, *tables])
 
 
 def _uses_table(uses: Sequence[Use]) -> Table:
@@ -414,27 +412,16 @@ def _against(simulated: IntervalEstimate, real: IntervalEstimate) -> str:
     return marked(text) if simulated.low > real.high or simulated.high < real.low else text
 
 
-def _shrink_figures(gap: Gap) -> Iterator[Figure]:
-    if gap.closed is None or not np.isfinite([gap.before, gap.after, gap.floor]).all():
-        return
-    caption = "Scores before and after the causes were added. At the dashed floor there is no gap."
-    yield SmallFigure(shrink_figure(gap), caption, f"Bars by domain. Overall: {gap_text(gap)}.")
-
-
 def _use_figures(uses: Sequence[Use]) -> Iterator[Figure]:
     comparable = [use for use in uses if can_compare(use)]
     if not comparable:
         return
     caption = "Simulated figures divided by recorded ones, with 95 % intervals; grey: the interval of the recording."
-    named = [
-        f"{use.sensor or 'array'} {use.name}: {_ratios(use.real.value, use.before.value, use.after.value)}"
-        for use in comparable
-    ]
+    named = []
+    for use in comparable:
+        before, after = (number(estimate.value / use.real.value, 2) for estimate in (use.before, use.after))
+        named.append(f"{use.sensor or 'array'} {use.name}: {before} times before, {after} times after")
     yield SmallFigure(use_figure(comparable), caption, f"{caption} {'; '.join(named)}.")
-
-
-def _ratios(real: float, before: float, after: float) -> str:
-    return f"{number(before / real, 2)} times before, {number(after / real, 2)} times after"
 
 
 def _where(diagnosis: Diagnosis) -> Section:
@@ -453,42 +440,31 @@ def _where(diagnosis: Diagnosis) -> Section:
 def _where_table(where: Sequence[Where], replicates: int) -> Table:
     """Return the first `MOST_ROWS` statistics, in their order, the worst first."""
     heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
-    rows = [
-        [
-            place_text(place),
-            place.domain.replace("_", " "),
-            *_readable_in(place),
-            f"{'-' if place.significance < 0 else '+'}{scored(abs(place.significance))}",
-            chance(place.p, replicates).removeprefix("p ").removeprefix("= "),
-            f"{number(place.effect_size, 2)}, {place.size}",
-        ]
-        for place in where[:MOST_ROWS]
-    ]
+    rows = []
+    for place in where[:MOST_ROWS]:
+        statistic, real, simulated = readable_statistic(place)
+        recorded_in = ", ".join(part for part in (place.log, place.phase) if part) or "all"
+        score = f"{'-' if place.significance < 0 else '+'}{scored(abs(place.significance))}"
+        p = chance(place.p, replicates).removeprefix("p ").removeprefix("= ")
+        size = f"{number(place.effect_size, 2)}, {place.size}"
+        name, domain = place_text(place), place.domain.replace("_", " ")
+        rows.append([name, domain, statistic, recorded_in, real, simulated, score, p, size])
     rest = where[MOST_ROWS:]
     material = sum(place.size == "material" for place in rest)
     more = f" {len(rest)} more are not shown, {material} of them material." if rest else ""
     return Table(heading, rows, f"Worst first.{more}", (1, 2, 3))
 
 
-def _readable_in(place: Where) -> list[str]:
-    """Return what a statistic is, in which log and phase, and its values."""
-    about, real, simulated = readable_statistic(place)
-    return [about, ", ".join(part for part in (place.log, place.phase) if part) or "all", real, simulated]
-
-
 def _unexplained(diagnosis: Diagnosis) -> Section:
     unexplained = diagnosis.unexplained
-    words = (
-        "What still differs after the causes were added."
-        if unexplained
-        else "Nothing: no statistic still differs after the causes were added."
-    )
+    words = "Nothing: no statistic still differs after the causes were added."
+    if unexplained:
+        words = "What still differs after the causes were added."
     if diagnosis.verdict == "no gap":
         words = "Nothing."
     words += f" Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
-    return Section(
-        "What is unexplained", words, [_where_table(unexplained, diagnosis.replicates)] if unexplained else []
-    )
+    tables = [_where_table(unexplained, diagnosis.replicates)] if unexplained else []
+    return Section("What is unexplained", words, tables)
 
 
 def _unobservable(diagnosis: Diagnosis) -> Section:
@@ -587,17 +563,15 @@ def _numbered(heading: str, texts: Sequence[str], caption: str) -> Table:
 MOST_OVERLAYS = 12
 """Largest number of curves that are drawn."""
 
-_KINDS = MappingProxyType(
-    {
-        "spectrum": "Spectrum: a peak that only the recording has is a spectral line; a bend is a filter.",
-        "allan": (
-            "Allan deviation: white noise falls with the square root of the averaging time; a floor is flicker noise; "
-            "a rise is a drift."
-        ),
-        "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a thermal lag.",
-        "codes": "Codes: combs and gaps are coarse or missing codes; a peak at an end is saturation.",
-    }
-)
+_KINDS = {
+    "spectrum": "Spectrum: a peak that only the recording has is a spectral line; a bend is a filter.",
+    "allan": (
+        "Allan deviation: white noise falls with the square root of the averaging time; a floor is flicker noise; "
+        "a rise is a drift."
+    ),
+    "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a thermal lag.",
+    "codes": "Codes: combs and gaps are coarse or missing codes; a peak at an end is saturation.",
+}
 """Text on what the curves show, by kind of overlay, in the order in which the curves are drawn."""
 
 

@@ -359,8 +359,7 @@ def summary_lines(figures: Figures) -> Iterator[str]:
             yield f"{transfer_line(transfer).capitalize()}."
     by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
     yield f"{counted(figures.cases, 'case')}, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
-    judged_on = f"the plan {figures.full!r}" if figures.full else "all plans"
-    yield f"Figures are compared with the bars on {judged_on} unless stated otherwise; intervals are 95 %."
+    yield f"Figures are compared with the bars on {_plan_text(figures)} unless stated otherwise; intervals are 95 %."
     yield from figures.notes
 
 
