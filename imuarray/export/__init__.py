@@ -67,7 +67,6 @@ def export(  # noqa: PLR0913
 
 
 def _writer(path: Path) -> Any:
-    """Return the writer of a suffix."""
     module = WRITERS.get(path.suffix.lower())
     if module is None:
         raise ExportError(

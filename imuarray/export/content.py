@@ -148,7 +148,6 @@ def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) 
 
 
 def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -> ExportTable:
-    """Return a sensor's table, with its header."""
     header = asdict(full_header(sensor))
     attributes: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,38 +52,43 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """Write a file for each table, for phases and for events, and their list; return the files. If one of them fails,
-    none is written.
-    """
-    names = [*(table.short for table in content.tables), "phases", "events"]
-    files = [path.with_name(name) for name in file_names(path, names)]
+    """Write a file for each table, for phases and for events, and their list; return the files."""
     phases = [(seconds(phase.start_ns), seconds(phase.end_ns), phase.name, phase.up) for phase in content.phases]
     events = [(seconds(event.time_ns), event.sensor, event.kind, event.message) for event in content.events]
-    with ExitStack() as stack:  # files get their names at its end; the list was entered first and gets its name last
-        targets = (path, path.with_suffix(".json"), *files)
-        listed, described, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in targets)
+    with file_set(path, content, path.with_suffix(".json"), force=force) as (index, (listed, described, *drafts)):
         for table, draft in zip(content.tables, drafts, strict=False):
             _write_table(draft, table, meter)
         _write_texts(drafts[-2], CSV_PHASES, phases)
         _write_texts(drafts[-1], CSV_EVENTS, events)
-        tables = [
-            *((table.name, table.rows) for table in content.tables),
-            ("phases", len(phases)),
-            ("events", len(events)),
-        ]
-        index = [(encodable(file.name), table, rows) for file, (table, rows) in zip(files, tables, strict=True)]
         _write_head(described, content, files={name: table for name, table, _ in index})
         with listed.open("w", encoding="utf-8", newline="") as text:
             csv.writer(text, lineterminator="\n").writerows([CSV_INDEX, *index])
-    return files
+    return [path.with_name(name) for name in file_names(path, content)]
 
 
-def file_names(path: Path, names: Sequence[str]) -> list[str]:
-    """Return the names of the files: run_Acc.csv and so on. Equal names, and those that differ only in case, which some
-    file systems do not distinguish, get a number.
+@contextmanager
+def file_set(
+    path: Path, content: Content, *further: Path, force: bool
+) -> Iterator[tuple[list[tuple[str, str, int]], list[Path]]]:
+    """Open the files of a log: yield the rows of the list of files (file, table, number of rows), and a draft of the
+    list at `path`, of the `further` files, and of the file of each table, of phases and of events. If one of them
+    fails, none is written.
+    """
+    names = file_names(path, content)
+    tables = [*((table.name, table.rows) for table in content.tables)]
+    tables += [("phases", len(content.phases)), ("events", len(content.events))]
+    index = [(encodable(name), table, rows) for name, (table, rows) in zip(names, tables, strict=True)]
+    with ExitStack() as stack:  # files get their names at its end; the list was entered first and gets its name last
+        targets = (path, *further, *map(path.with_name, names))
+        yield index, [stack.enter_context(whole_file(file, force=force)) for file in targets]
+
+
+def file_names(path: Path, content: Content) -> list[str]:
+    """Return the names of the files of tables, phases and events: run_Acc.csv and so on. Equal names, and those that
+    differ only in case, which some file systems do not distinguish, get a number.
     """
     sensors_by_name: dict[str, str] = {}
-    for name in names:
+    for name in (*(table.short for table in content.tables), "phases", "events"):
         free = next(stem for stem in numbered(f"{path.stem}_{name}") if stem.lower() not in sensors_by_name)
         sensors_by_name[free.lower()] = f"{free}{path.suffix}"
     return list(sensors_by_name.values())

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
 
-WRITERS: Mapping[str, str] = MappingProxyType(
-    {
-        ".csv": "imuarray.export.csv_files",
-        ".npz": "imuarray.export.npz_file",
-        ".parquet": "imuarray.export.parquet_files",
-        ".mcap": "imuarray.export.mcap_file",
-        ".mat": "imuarray.export.mat_file",
-        ".yaml": "imuarray.export.noise_files",
-        ".sdf": "imuarray.export.noise_files",
-    }
-)
+WRITERS: Mapping[str, str] = {
+    ".csv": "imuarray.export.csv_files",
+    ".npz": "imuarray.export.npz_file",
+    ".parquet": "imuarray.export.parquet_files",
+    ".mcap": "imuarray.export.mcap_file",
+    ".mat": "imuarray.export.mat_file",
+    ".yaml": "imuarray.export.noise_files",
+    ".sdf": "imuarray.export.noise_files",
+}
 """The module that writes each suffix, imported when it is needed: `write(request, path, force, progress)`."""
 
-TOOLS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {".mcap": ("foxglove", "ros2"), ".yaml": ("kalibr", "openvins", "vins-fusion"), ".sdf": ("gazebo", "px4")}
-)
+TOOLS: Mapping[str, tuple[str, ...]] = {
+    ".mcap": ("foxglove", "ros2"),
+    ".yaml": ("kalibr", "openvins", "vins-fusion"),
+    ".sdf": ("gazebo", "px4"),
+}
 """The tools for which the files of a suffix differ; the first is the default."""
 
 UNITS = ("counts", "si", "sensor")
@@ -38,21 +37,19 @@ CSV_MAGIC = "# imuarray-csv 1: "
 CSV_INDEX = ("file", "table", "rows")
 CSV_PHASES = ("start_s", "end_s", "name", "up")
 CSV_EVENTS = ("time_s", "sensor", "kind", "message")
-CSV_SUFFIX: Mapping[str, str] = MappingProxyType(
-    {
-        "m s-2": "_mps2",
-        "rad s-1": "_radps",
-        "m2 s-4": "_m2ps4",
-        "rad2 s-2": "_rad2ps2",
-        "T": "_t",
-        "Pa": "_pa",
-        "degC": "_degc",
-        "ns": "_ns",
-        "g": "_g",
-        "dps": "_dps",
-        "gauss": "_gauss",
-    }
-)
+CSV_SUFFIX: Mapping[str, str] = {
+    "m s-2": "_mps2",
+    "rad s-1": "_radps",
+    "m2 s-4": "_m2ps4",
+    "rad2 s-2": "_rad2ps2",
+    "T": "_t",
+    "Pa": "_pa",
+    "degC": "_degc",
+    "ns": "_ns",
+    "g": "_g",
+    "dps": "_dps",
+    "gauss": "_gauss",
+}
 """The suffix of a column's name for each unit; counts and flags have none."""
 
 

@@ -31,6 +31,7 @@ from imuarray.export import ros2_messages as ros2
 from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
+from imuarray.fuse.optimal.geometry import patterns
 from imuarray.log.health import is_trouble
 from imuarray.wall_time import unix_ns
 
@@ -103,17 +104,15 @@ def _ordered(time_ns: Times, parts: Sequence[_EqualMessages]) -> _ChannelMessage
         ranks = np.empty(len(order), np.intp)
         ranks[order] = np.arange(len(order))
         time_ns = time_ns[order]
-        parts = [_EqualMessages(*_sorted(ranks[places], messages)) for places, messages in parts]
+        orders = [np.argsort(ranks[part.places]) for part in parts]
+        parts = [
+            _EqualMessages(ranks[part.places][rank], part.messages[rank])
+            for part, rank in zip(parts, orders, strict=True)
+        ]
     lengths = np.empty(len(time_ns), np.int64)
     for places, messages in parts:
         lengths[places] = messages.dtype.itemsize
     return _ChannelMessages(time_ns, lengths, list(parts))
-
-
-def _sorted(places: Indices, messages: npt.NDArray[np.void]) -> tuple[Indices, npt.NDArray[np.void]]:
-    """Return messages by ascending place."""
-    order = np.argsort(places)
-    return places[order], messages[order]
 
 
 class _ChannelStream:
@@ -247,7 +246,7 @@ def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: M
     for name, entries in (("/events", _events(content)), ("/phases", _phases(content))):
         if entries:
             channel = channel_of(name, ros2.LOG)
-            streams.append(_ChannelStream(channel, _entries(entries, channel, zero_ns, _ros2_entry)))
+            streams.append(_ChannelStream(channel, _entries(entries, channel, zero_ns, ros2.log_message)))
     return streams
 
 
@@ -287,25 +286,14 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
     for rows in table.blocks(_BLOCK):
         time_ns = np.asarray(table.columns[0].read(rows) + zero_ns, np.int64)
         cells = [np.asarray(column.read(rows)).reshape(len(time_ns), -1) for column in columns]
-        finite_cells = [np.isfinite(cell) for cell in cells]
-        if len(time_ns) and all(cells_finite.all() for cells_finite in finite_cells):  # the usual case, which is faster
-            finite = np.ones((1, len(cells)), bool)
-        else:
-            finite = np.stack([cells_finite.all(axis=1) for cells_finite in finite_cells], axis=1)
+        finite = np.stack([np.isfinite(cell).all(axis=1) for cell in cells], axis=1)
         sequence = np.arange(rows.start, rows.stop) & 0xFFFF_FFFF
-        if len(finite) and (finite == finite[0]).all():
-            patterns, pattern_of = finite[:1], np.zeros(len(time_ns), np.intp)
-        else:
-            patterns, pattern_of = np.unique(finite, axis=0, return_inverse=True)
         parts = []
-        for number, present in enumerate(patterns):
-            selection: Indices | slice = slice(None)
-            places = np.arange(len(time_ns))
-            if len(patterns) > 1:
-                selection = places = np.flatnonzero(pattern_of.reshape(-1) == number)
+        for present, selection in patterns(finite):
             form = _form(message, columns, present.tolist())
             whole = _filled(form, time_ns[selection], [cell[selection] for cell in cells], texts_of)
-            parts.append(_EqualMessages(places, _put_heads(whole, channel, sequence[selection], time_ns[selection])))
+            messages = _put_heads(whole, channel, sequence[selection], time_ns[selection])
+            parts.append(_EqualMessages(np.arange(len(time_ns))[selection], messages))
         yield _ordered(time_ns, parts)
         meter.add(rows.stop - rows.start, len(table.columns))
 
@@ -465,17 +453,13 @@ class _Entry(NamedTuple):
     text: str
 
 
-def _json_entry(nanoseconds: int, entry: _Entry) -> bytes:
-    value = schemas.log_message(nanoseconds, entry.level, entry.name, entry.text)
+def _json_entry(nanoseconds: int, level: str, name: str, text: str) -> bytes:
+    value = schemas.log_message(nanoseconds, level, name, text)
     return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
 
 
-def _ros2_entry(nanoseconds: int, entry: _Entry) -> bytes:
-    return ros2.log_message(nanoseconds, entry.level, entry.name, entry.text)
-
-
 def _entries(
-    entries: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
+    entries: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, str, str, str], bytes]
 ) -> Iterator[_ChannelMessages]:
     """Yield the entries in the order of their times, one part for each; no messages without entries."""
     if not entries:
@@ -483,22 +467,18 @@ def _entries(
     time_ns = np.array([entry.time_ns + zero_ns for entry in entries], np.int64)
     parts = []
     for number, entry in enumerate(entries):
-        text, place = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8), np.array([number])
+        data = encode(int(time_ns[number]), entry.level, entry.name, entry.text)
+        text, place = np.frombuffer(data, np.uint8), np.array([number])
         parts.append(_EqualMessages(place, _with_heads(text[None], channel, place, time_ns[number : number + 1])))
     yield _ordered(time_ns, parts)
 
 
 def _events(content: Content) -> list[_Entry]:
-    ordered = sorted(content.events, key=lambda event: event.time_ns)
-    return [
-        _Entry(
-            event.time_ns,
-            "WARNING" if is_trouble(event) else "INFO",
-            event.sensor or "array",
-            f"{event.kind}: {event.message}",
-        )
-        for event in ordered
-    ]
+    entries = []
+    for event in sorted(content.events, key=lambda event: event.time_ns):
+        level = "WARNING" if is_trouble(event) else "INFO"
+        entries.append(_Entry(event.time_ns, level, event.sensor or "array", f"{event.kind}: {event.message}"))
+    return entries
 
 
 def _phases(content: Content) -> list[_Entry]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ import numpy as np
 from imuarray.atomic import whole_file
 from imuarray.errors import MissingExtraError
 from imuarray.export.content import head_with, open_content
-from imuarray.export.csv_files import file_names
+from imuarray.export.csv_files import file_names, file_set
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, ExportRequest, ExportSummary, Progress, csv_names
 from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
 from imuarray.wall_time import unix_ns
@@ -48,22 +47,14 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """Write a file for each table, for phases and for events, and their list; return the files. If one of them fails,
-    none is written.
-    """
-    names = [*(table.short for table in content.tables), "phases", "events"]
-    files = [path.with_name(name) for name in file_names(path, names)]
-    with ExitStack() as stack:  # files get their names at its end; the list was entered first and gets its name last
-        listed, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in (path, *files))
+    """Write a file for each table, for phases and for events, and their list; return the files."""
+    with file_set(path, content, force=force) as (index, (listed, *drafts)):
         for table, draft in zip(content.tables, drafts, strict=False):
             _write_table(draft, table, content, {"table": table.name, "about": dict(table.about)}, meter)
         _write_texts(drafts[-2], ("start", "end", "name", "up"), content.phases, {"table": "phases"})
         _write_texts(drafts[-1], ("time", "sensor", "kind", "message"), content.events, {"table": "events"})
-        tables = [*((table.name, table.rows) for table in content.tables)]
-        tables += [("phases", len(content.phases)), ("events", len(content.events))]
-        index = [(file.name, table, rows) for file, (table, rows) in zip(files, tables, strict=True)]
         _write_texts(listed, CSV_INDEX, index, head_with(content))
-    return files
+    return [path.with_name(name) for name in file_names(path, content)]
 
 
 def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping[str, Any], meter: Meter) -> None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -139,11 +140,13 @@ def _topics_of(name: str, table: ExportTable, columns: Mapping[str, TableColumn]
     if inertial:
         yield Topic(name, "sensor_msgs/msg/Imu", table, tuple(inertial), _imu)
     if (field := columns.get("magnetic_field")) is not None:
-        yield Topic(name, "sensor_msgs/msg/MagneticField", table, (field,), _field)
+        yield Topic(name, "sensor_msgs/msg/MagneticField", table, (field,), partial(_values, unknown=9))
     if (pressure := columns.get("pressure")) is not None:
-        yield Topic(name, "sensor_msgs/msg/FluidPressure", table, (pressure,), _scalar)
+        yield Topic(name, "sensor_msgs/msg/FluidPressure", table, (pressure,), partial(_values, unknown=1))
     if (degrees := columns.get("temperature")) is not None:
-        yield Topic(f"{name}/temperature", "sensor_msgs/msg/Temperature", table, (degrees,), _scalar)
+        yield Topic(
+            f"{name}/temperature", "sensor_msgs/msg/Temperature", table, (degrees,), partial(_values, unknown=1)
+        )
 
 
 def _topic_name(name: str) -> str:
@@ -188,16 +191,12 @@ def _imu(cells: Cells) -> Floats:
     return numbers
 
 
-def _field(cells: Cells) -> Floats:
-    """Return the numbers of a MagneticField (n, 12): flux density, covariance not known."""
-    (field,) = cells.values()
-    return np.hstack([field, np.zeros((len(field), 9))])
-
-
-def _scalar(cells: Cells) -> Floats:
-    """Return the numbers of a FluidPressure or a Temperature (n, 2): the value, variance not known."""
+def _values(cells: Cells, *, unknown: int) -> Floats:
+    """Return the numbers of a MagneticField, a FluidPressure or a Temperature: the value (n, k), and `unknown` zeros
+    for its covariance, which is not known.
+    """
     (values,) = cells.values()
-    return np.hstack([values, np.zeros((len(values), 1))])
+    return np.hstack([values, np.zeros((len(values), unknown))])
 
 
 def _check(time_ns: int) -> None:
@@ -212,23 +211,11 @@ def _stamped(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
         _check(int(extreme))
     text = FRAME.encode() + b"\0"
     fill = -(12 + len(text)) % 8  # numbers begin at multiples of 8 after the first four bytes
-    layout = np.dtype(
-        [
-            ("encoding", "S4"),
-            ("sec", "<i4"),
-            ("nanosec", "<u4"),
-            ("length", "<u4"),
-            ("frame", "u1", (len(text),)),
-            ("fill", "u1", (fill,)),
-            ("numbers", "<f8", (numbers.shape[1],)),
-        ]
-    )
+    head = [("encoding", "S4"), ("sec", "<i4"), ("nanosec", "<u4"), ("length", "<u4"), ("frame", "u1", (len(text),))]
+    layout = np.dtype([*head, ("fill", "u1", (fill,)), ("numbers", "<f8", (numbers.shape[1],))])
     messages = np.zeros(len(time_ns), layout)
-    messages["encoding"], messages["length"], messages["frame"] = (
-        _LITTLE_ENDIAN,
-        len(text),
-        np.frombuffer(text, np.uint8),
-    )
+    messages["encoding"], messages["length"] = _LITTLE_ENDIAN, len(text)
+    messages["frame"] = np.frombuffer(text, np.uint8)
     messages["sec"], messages["nanosec"], messages["numbers"] = time_ns // 10**9, time_ns % 10**9, numbers
     return messages.view(np.uint8).reshape(len(messages), -1)
 
