@@ -252,7 +252,11 @@ def snapshot_of(
     )
     frames = _frames(views)
     fused, not_fused = _fused(source, windows, calibration, ends_ns or 0, result)
-    missed, disk = max(events.missed, _missed_frames(frames, period_ns)), _disk(source, views)
+    framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
+    missed = missed_by_all(framed, period_ns)  # by the grid of the frames, or else by the rows that all sensors lack
+    if missed is None:
+        missed = min((view.missed for view in frames), default=0)
+    missed, disk = max(events.missed, missed), _disk(source, views)
     observations = _observations(source, views, missed, quiet_s, disk)
     return Snapshot(
         source.path,
@@ -288,7 +292,6 @@ _QUIET_S = 5.0
 def _observations(
     source: LogSource, views: Sequence[SensorView], missed: int, quiet_s: float, disk: Disk | None
 ) -> Observations:
-    """Return the observations that count for the health of the log."""
     stopped = "the logger stopped before the end" if source.state == INTERRUPTED else ""
     if source.state == WRITTEN and quiet_s >= _QUIET_S:
         stopped = f"no reading for {quiet_s:.0f} s"
@@ -324,18 +327,10 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
     frame is missing from all of them, a lost reading from one.
     """
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
-
-    def of_same_rate(view: SensorView) -> list[SensorView]:
-        return [candidate for candidate in inertial if abs(candidate.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
-
-    return max((of_same_rate(view) for view in inertial), key=len, default=[])
-
-
-def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:
-    """Count missed frames by the grid of the frames, or else by the rows that all sensors lack."""
-    framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
-    missed = missed_by_all(framed, period_ns)
-    return min((view.missed for view in frames), default=0) if missed is None else missed
+    sets = (
+        [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz] for view in inertial
+    )
+    return max(sets, key=len, default=[])
 
 
 def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
@@ -344,11 +339,9 @@ def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
         free = free_bytes(source.path)
     except OSError:
         return None
-    rates = {f"sensors/{view.name}": view.rate_hz for view in views}
-    is_written = source.state == WRITTEN
-    bytes_per_s = (
-        _COPIES * sum(source.row_bytes.get(path, 0) * rate for path, rate in rates.items()) if is_written else 0.0
-    )
+    bytes_per_s = 0.0
+    if source.state == WRITTEN:
+        bytes_per_s = _COPIES * sum(source.row_bytes.get(f"sensors/{view.name}", 0) * view.rate_hz for view in views)
     return Disk(free, bytes_per_s, max(0.0, (free - WATERMARK) / bytes_per_s) if bytes_per_s else None)
 
 

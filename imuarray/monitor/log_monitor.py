@@ -22,7 +22,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import count, takewhile
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from imuarray.calibrate import Calibration
@@ -176,7 +175,6 @@ def _has_begun(path: Path) -> bool:
 
 
 def _epoch(path: Path) -> str:
-    """Return the time 0 of a log."""
     if is_running(path):
         with JournalReader(path) as journal:
             return journal.preamble.epoch
@@ -185,9 +183,10 @@ def _epoch(path: Path) -> str:
     return whole.epoch
 
 
-COLOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"light": ("#0072B2", "#B94E00", "#007F5C"), "dark": ("#56B4E9", "#F0A03C", "#2BD1A0")}
-)
+COLOURS: Mapping[str, tuple[str, ...]] = {
+    "light": ("#0072B2", "#B94E00", "#007F5C"),
+    "dark": ("#56B4E9", "#F0A03C", "#2BD1A0"),
+}
 """Colours of x, y and z by theme, after Okabe and Ito's palette for all kinds of colour vision."""
 
 _HEIGHT, _RIGHT = 150, 12
@@ -201,9 +200,7 @@ class Theme(NamedTuple):
     grid: str
 
 
-THEMES: Mapping[str, Theme] = MappingProxyType(
-    {"light": Theme("#3d4653", "#dfe3e8"), "dark": Theme("#b9c2cf", "#333c48")}
-)
+THEMES: Mapping[str, Theme] = {"light": Theme("#3d4653", "#dfe3e8"), "dark": Theme("#b9c2cf", "#333c48")}
 
 
 class FigureKind(NamedTuple):
@@ -257,7 +254,6 @@ def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
 
 
 def _ticks(steps: tuple[int, ...]) -> list[float]:
-    """Return the ticks of a logarithmic axis."""
     return [step * 10.0**decade for decade in range(-6, 7) for step in steps]
 
 

@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import h5py
 import numpy as np
@@ -95,26 +95,6 @@ class ReadRows:
         names = list(names)
         if list(self.windows) != names:
             self.windows = {name: LatestRows(self.span_ns) for name in names}
-
-
-class LogSource(Protocol):
-    """A log whose rows are read into `read_rows`; `attributes` of its sensors, `state` at the last refresh."""
-
-    path: Path
-    source: str
-    epoch: str
-    state: str
-    read_rows: ReadRows
-    attributes: dict[str, Attributes]
-    frame_rate_hz: float
-    row_bytes: dict[str, int]
-    backlog: Backlog
-
-    def read(self) -> int:
-        """Read new rows and return their number."""
-
-    def close(self) -> None:
-        """Close the files."""
 
 
 def identity(path: Path) -> tuple[int, int] | None:
@@ -274,6 +254,10 @@ class Growing:
         """Close the files."""
         self.backlog.close()
         self._reader.close()
+
+
+LogSource = Whole | Growing
+"""A log whose rows are read into `read_rows`; `attributes` of its sensors, `state` at the last refresh."""
 
 
 def _opened(path: Path, preamble: Preamble) -> h5py.File:

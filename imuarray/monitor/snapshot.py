@@ -10,7 +10,6 @@ from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,7 +99,7 @@ class EventCounts:
     @property
     def kinds(self) -> Mapping[str, int]:
         """Events by kind, the most frequent first."""
-        return MappingProxyType(dict(self._kinds.most_common()))
+        return dict(self._kinds.most_common())
 
     @property
     def problems(self) -> int:
@@ -110,7 +109,7 @@ class EventCounts:
     @property
     def faults(self) -> Mapping[tuple[str, str], int]:
         """Events that report a fault by sensor and kind, the most frequent first."""
-        return MappingProxyType(dict(self._faults.most_common()))
+        return dict(self._faults.most_common())
 
     @property
     def repeated(self) -> tuple[RepeatedEvent, ...]:

@@ -52,17 +52,14 @@ class MemoryLog(Log):
 
     def __init__(self, path: Path, sensors: Mapping[str, tuple[Attributes, Rows]]) -> None:
         self.path = path
-        groups = {name: _group_of(name, attributes, rows) for name, (attributes, rows) in sensors.items()}
+        groups = {}
+        for name, (attributes, rows) in sensors.items():
+            columns = {key: Column(key, np.ascontiguousarray(values)) for key, values in rows.items()}
+            groups[name] = LiveGroup(f"/sensors/{name}", attributes, columns)
         self._file, self._damaged = cast(h5py.File, _SensorsFile(groups)), []
         self.sensors = {
             name: SensorLog(group, f"{path}, sensor {name}", self, _not_sent) for name, group in groups.items()
         }
-
-
-def _group_of(name: str, attributes: Attributes, rows: Rows) -> LiveGroup:
-    """Return the group of a sensor."""
-    columns = {key: Column(key, np.ascontiguousarray(values)) for key, values in rows.items()}
-    return LiveGroup(f"/sensors/{name}", attributes, columns)
 
 
 def _not_sent(path: Path) -> Log:
