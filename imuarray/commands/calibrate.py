@@ -293,7 +293,6 @@ def _axes_report(pointings: Sequence[Pointing], before: dict[str, str]) -> dict[
 
 
 def _print_axes(report: dict[str, Any]) -> None:
-    """Print the report as a table."""
     click.echo(f"{'sensor':12} {'axes':8} {'residual':>8} {'next best':>9}")
     for row in report["sensors"]:
         note = row["reason"] and f"  not determined: {row['reason']}; {row['before']} kept"

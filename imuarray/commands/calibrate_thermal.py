@@ -8,7 +8,6 @@ import click
 
 if TYPE_CHECKING:
     from imuarray.calibrate import SensorCalibration, ThermalResult
-    from imuarray.calibrate.opposed import OpposedSlopes
     from imuarray.calibrate.thermal import HeatingFit
 
 
@@ -24,7 +23,8 @@ def report_of(result: ThermalResult) -> dict[str, Any]:
         "sensors": [_sensor(sensor) for sensor in result.calibration.sensors.values()],
         "heatings": [_heating(heating) for heating in result.heatings],
         "pairs": [
-            _pair(*pair_tests) for pair_tests in zip(result.pairs, cancels.tolist(), nothing.tolist(), strict=True)
+            {**vars(pair), "p_cancels": p_cancels, "p_nothing_left": p_nothing}
+            for pair, p_cancels, p_nothing in zip(result.pairs, cancels.tolist(), nothing.tolist(), strict=True)
         ],
     }
 
@@ -55,10 +55,6 @@ def _heating(heating: HeatingFit) -> dict[str, Any]:
         "line_lsb_per_degc": fit.line_lsb_per_degc.tolist(),
         "line_sem_lsb_per_degc": fit.line_sem_lsb_per_degc.tolist(),
     }
-
-
-def _pair(pair: OpposedSlopes, cancels: float, nothing: float) -> dict[str, Any]:
-    return {**vars(pair), "p_cancels": cancels, "p_nothing_left": nothing}
 
 
 def print_report(report: dict[str, Any]) -> None:

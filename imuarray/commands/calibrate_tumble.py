@@ -13,7 +13,6 @@ from imuarray.units import READABLE
 
 if TYPE_CHECKING:
     from imuarray.calibrate import TumbleResult, TurnFit
-    from imuarray.calibrate.fits import TriadFit
     from imuarray.log import Log, SensorLog
 
 
@@ -76,19 +75,12 @@ def _sensor(sensor: SensorLog, result: TumbleResult) -> dict[str, Any]:
         row["g_sensitivity_sem_lsb_per_g"] = parameters.g_sensitivity_sem_lsb_per_g.tolist()
     if sensor.name in result.drift_lsb:
         row["drift_lsb"] = result.drift_lsb[sensor.name].tolist()
-    if sensor.name in result.fits:
-        row |= _fit(result.fits[sensor.name])
+    if (fit := result.fits.get(sensor.name)) is not None:
+        row |= {"reduced_chi_squared": fit.reduced_chi_squared, "freedom": fit.freedom}
+        row["repeatability_lsb"] = fit.repeatability_lsb.tolist()
     if sensor.name in result.turns:
         row["turns"] = _turns(result.turns[sensor.name])
     return row
-
-
-def _fit(fit: TriadFit) -> dict[str, Any]:
-    return {
-        "reduced_chi_squared": fit.reduced_chi_squared,
-        "freedom": fit.freedom,
-        "repeatability_lsb": fit.repeatability_lsb.tolist(),
-    }
 
 
 def _turns(fit: TurnFit) -> dict[str, Any]:
@@ -204,19 +196,18 @@ def _print_residuals(report: dict[str, Any]) -> None:
 
 def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
     """Print the mean biases of axes of one design by direction; axes without another of their design are omitted."""
-    pairs = [pair for pair in pairs if not _is_single(pair)]
-    if not pairs:
-        return
-    click.echo("bias in the box frame: axes of one design along the box axis, axes against it, and the average of both")
+    several = []
     for pair in pairs:
+        means = [pair[key] for key in ("along", "against") if pair[key] is not None]
+        is_single = len(means) == 1 and abs(abs(means[0]) - pair["single_rms"]) <= 1e-9 * pair["single_rms"]
+        several += [] if is_single else [pair]  # the mean of a single axis is as large as its rms
+    if several:
+        click.echo(
+            "bias in the box frame: axes of one design along the box axis, axes against it, and the average of both"
+        )
+    for pair in several:
         factor, unit = READABLE[pair["unit"]]
         line = f"  {pair['chip']:10} {pair['quantity'].replace('_', ' '):14} {pair['box_axis']}:"
         for key in ("along", "against", "opposed"):
             line += f"  {key} {'none' if pair[key] is None else f'{factor * pair[key]:.2f}':>9}"
         click.echo(f"{line}  single rms {factor * pair['single_rms']:9.2f} {unit}")
-
-
-def _is_single(pair: dict[str, Any]) -> bool:
-    """Return whether a row is of a single axis, whose mean is as large as its rms."""
-    ways = [pair[key] for key in ("along", "against") if pair[key] is not None]
-    return len(ways) == 1 and bool(abs(abs(ways[0]) - pair["single_rms"]) <= 1e-9 * pair["single_rms"])

@@ -119,7 +119,6 @@ def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
 
 
 def _files() -> list[str]:
-    """Return the names of the files that are written into a folder."""
     from imuarray.characterise.plots import FIGURES
 
     return [RESULT, *FIGURES]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -181,8 +181,7 @@ def _print_firmware(firmware: dict[str, Any] | None) -> None:
     click.echo(
         f"  up for {counts['up_us'] / 1e6:.0f} s{boot}: {counts['sent']} frames sent, {counts['late']} skipped for"
         f" lack of time, {counts['dropped']} dropped because the line was full, {counts['overwritten']} lost"
-        " unacknowledged;"
-        f" {counts['failures']} requests failed, {counts['skipped']} bytes not understood"
+        f" unacknowledged; {counts['failures']} requests failed, {counts['skipped']} bytes not understood"
     )
 
 
@@ -190,15 +189,7 @@ def _print_json(
     name: str | None, source: str, detections: Sequence[Detection], firmware: dict[str, Any] | None
 ) -> None:
     ok = all(detection.ok and not detection.undetermined for detection in detections)
-    print_json(
-        {
-            "array": name,
-            "source": source,
-            "found": [asdict(row) for row in detections],
-            "firmware": firmware,
-            "ok": ok,
-        }
-    )
+    print_json({"array": name, "source": source, "found": list(detections), "firmware": firmware, "ok": ok})
 
 
 def _print_head(name: str, url: str, source: str) -> None:
@@ -206,16 +197,12 @@ def _print_head(name: str, url: str, source: str) -> None:
 
 
 def _print_row(mark: str, configured: str, detection: Detection) -> None:
-    parts = [
-        text
-        for text in (detection.found, detection.self_test, detection.remark)
-        if text not in ("", detection.expected)
-    ]
-    click.echo(f"  {mark} {detection.place:24} {configured:28} {'; '.join(parts)}".rstrip())
+    texts = (detection.found, detection.self_test, detection.remark)
+    about = "; ".join(text for text in texts if text not in ("", detection.expected))
+    click.echo(f"  {mark} {detection.place:24} {configured:28} {about}".rstrip())
 
 
 def _write(detections: Sequence[Detection], url: str, output: Path, force: bool) -> None:
-    """Write a configuration of the chips that answered."""
     from imuarray.acquire.detection import propose
     from imuarray.array import parse_array
     from imuarray.atomic import write_text
@@ -245,14 +232,8 @@ def _doctor(config: Path | None, bus_url: str | None, logs: Path, as_json: bool)
     checks = examine(array if is_meant else None, url, logs, _USUAL_RATE_HZ, talk=talk)
     well = all(check.ok for check in checks)
     if as_json:
-        print_json(
-            {
-                "array": array.name if is_meant else None,
-                "bus": url,
-                "ok": well,
-                "checks": [check._asdict() for check in checks],
-            }
-        )
+        name = array.name if is_meant else None
+        print_json({"array": name, "bus": url, "ok": well, "checks": [check._asdict() for check in checks]})
         return 0 if well else 1
     for check in checks:
         advice = f" -> {check.advice}" if check.advice else ""

@@ -49,8 +49,7 @@ class ExportOptions:
         type=click.Choice([tool for tools in TOOLS.values() for tool in tools]),
         help=(
             "the tool that will read the file"
-            f" ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())};"
-            " default: the first)"
+            f" ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())}; default: the first)"
         ),
     )
     force: bool = parameter(force_option)
@@ -95,15 +94,7 @@ def command(options: ExportOptions) -> None:
         )
     if options.as_json:
         files = [str(file) for file in summary.files]
-        report = {"files": files, "units": summary.units, "rows": dict(summary.rows)}
-        print_json(
-            {
-                "source": str(options.source),
-                **report,
-                "uncalibrated": list(summary.uncalibrated),
-                "notes": list(summary.notes),
-            }
-        )
+        print_json({"source": str(options.source), **summary._asdict(), "files": files})
         return
     rows, tables = sum(summary.rows.values()), counted(len(summary.rows), "table")
     click.echo(f"{options.output}: {rows} rows of {tables}, units: {summary.units}")

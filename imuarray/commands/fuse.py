@@ -32,7 +32,7 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Error, FaultEvent, FusedBlock, FusionNotes, PipelineFactory, QuietNoise
+    from imuarray.fuse import FaultEvent, FusedBlock, FusionNotes, PipelineFactory, QuietNoise
     from imuarray.log import Log
 
 _MEAN = "mean"
@@ -187,9 +187,11 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
-    sensors = _sensors(log, work.names)
+    sensors: dict[str, list[str]] = {
+        quantity: [sensor.name for sensor in log.of(quantity, work.names)] for quantity in INERTIAL
+    }
     valued: set[str] = set()
-    with share_progress(technique) as progress, _quality_of(log) as quality:
+    with share_progress(technique) as progress, _Quality(log) as quality:
         frames = write_fused(
             output,
             _note_values(_measure(work, quality, events.append, notes.append, progress), valued),
@@ -202,7 +204,6 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
             force=force,
         )
         results = quality.results()
-    has_truth = log.motion_track is not None
     report = {
         "fused": str(output),
         "frames": frames,
@@ -213,7 +214,7 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
         ],
         "faults": [event.as_json() for event in sorted(events, key=lambda event: event.time_ns)],
         "learned": notes[0].as_json(),
-        "error": results[technique] if has_truth else {},
+        "error": results[technique] if log.motion_track else {},
         "results": results,
     }
     return report, notes[0]
@@ -228,7 +229,7 @@ def _note_values(blocks: Iterator[FusedBlock], valued: set[str]) -> Iterator[Fus
 
 def _measure(
     work: _Work,
-    quality: _Errors | _Noise,
+    quality: _Quality,
     on_fault: Callable[[FaultEvent], None],
     take_notes: Callable[[FusionNotes], None],
     progress: Callable[[float], None],
@@ -261,11 +262,6 @@ def _measure(
         yield block
 
 
-def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
-    """Return the names of the sensors of each quantity that are fused."""
-    return {quantity: [sensor.name for sensor in log.of(quantity, names)] for quantity in INERTIAL}
-
-
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
     """Return in what the technique differs from the average, for both quantities."""
     from imuarray.fuse import axes_of, changes
@@ -277,49 +273,34 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
     return sentences
 
 
-class _Errors:
-    """The errors of results with respect to the truth in the log, in SI, JSON-ready. A context manager."""
+class _Quality:
+    """The errors of results with respect to the truth in the log, in SI; without a truth, their noise at rest. A
+    context manager.
+    """
 
     def __init__(self, log: Log) -> None:
         from imuarray.fuse import ErrorEvaluation
 
-        self._evaluation = ErrorEvaluation(log)
-
-    def add(self, together: Mapping[str, FusedBlock]) -> None:
-        """Add the next block of each result, by technique."""
-        self._evaluation.add(together)
-
-    def results(self) -> dict[str, Any]:
-        """Return the results by technique and quantity."""
-        return {
-            technique: {quantity: _error(error) for quantity, error in errors.items()}
-            for technique, errors in self._evaluation.errors().items()
-        }
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._evaluation.__exit__(*error)
-
-
-class _Noise:
-    """The noise of results at rest, for a log without truth. A context manager."""
-
-    def __init__(self) -> None:
+        self._errors = ErrorEvaluation(log) if log.motion_track else None
         self._noise: dict[str, QuietNoise] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """Add the next block of each result, by technique."""
         from imuarray.fuse import QuietNoise
 
+        if self._errors is not None:
+            self._errors.add(together)
+            return
         for technique, block in together.items():
             self._noise.setdefault(technique, QuietNoise()).add(block)
 
-    def results(self) -> dict[str, Any]:
+    def results(self) -> dict[str, dict[str, Any]]:
         """Return the results by technique and quantity."""
+        if self._errors is not None:
+            errors = self._errors.errors()
+            return {technique: {name: vars(error) for name, error in of.items()} for technique, of in errors.items()}
         return {
-            technique: {quantity: {"noise": scatter.tolist()} for quantity, scatter in noise.scatter().items()}
+            technique: {quantity: {"noise": scatter} for quantity, scatter in noise.scatter().items()}
             for technique, noise in self._noise.items()
         }
 
@@ -327,23 +308,8 @@ class _Noise:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Do nothing."""
-
-
-def _quality_of(log: Log) -> _Errors | _Noise:
-    """Return errors if the log contains truth, else noise."""
-    return _Errors(log) if log.motion_track else _Noise()
-
-
-def _error(error: Error) -> dict[str, Any]:
-    """Return errors with respect to the truth in SI, JSON-ready."""
-    return {
-        "mean": error.mean.tolist(),
-        "noise": error.noise.tolist(),
-        "rms": error.rms.tolist(),
-        "drift": error.drift.tolist(),
-        "frames": error.frames,
-    }
+        if self._errors is not None:
+            self._errors.__exit__(*error)
 
 
 def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:

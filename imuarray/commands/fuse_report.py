@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -17,9 +17,8 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Coasting, FusionNotes, Score, TechniqueComparison
+    from imuarray.fuse import FusionNotes
     from imuarray.fuse.optimal import LearnedBias
-    from imuarray.fuse.techniques.opposed import Reduction
     from imuarray.log import Log
 
 _MOST_REMARKS = 40
@@ -67,16 +66,12 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
     pairs = []
     for quantity in INERTIAL:
         for pair in capabilities(log.of(quantity, names), calibration):
-            errors = {name: _former_names(getattr(pair, name)) for name in ("drift", "bias")}
-            pairs.append({"quantity": quantity, **json_value(asdict(pair) | errors)})
+            figures = asdict(pair)
+            for name in ("drift", "bias"):
+                if (error := figures[name]) is not None:  # with the former names of two figures
+                    error |= {"left": error["remaining"], "left_sem": error["remaining_sem"]}
+            pairs.append({"quantity": quantity, **json_value(figures)})
     return pairs
-
-
-def _former_names(error: Reduction | None) -> dict[str, Any] | None:
-    """Return the figures of an error, two of them also by their former names `left` and `left_sem`."""
-    if error is None:
-        return None
-    return {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
 
 
 def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:
@@ -131,45 +126,33 @@ def _cells(error: dict[str, Any] | None, factor: float) -> str:
 
 
 def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
-    """Return the evaluation of all techniques on a log, JSON-ready, with a progress bar; `names`: only these
-    sensors.
+    """Return the evaluation of all techniques on a log, with a progress bar, JSON-ready, in SI except for headings in
+    degrees; `names`: only these sensors.
     """
     from imuarray.fuse import compare
 
     with share_progress("techniques") as progress:
         comparison = compare(log, calibration, only=names, progress=progress)
-    return evaluation_of(comparison)
-
-
-def evaluation_of(comparison: TechniqueComparison) -> dict[str, Any]:
-    """Return the whole evaluation, JSON-ready, in SI except for headings in degrees."""
-    scores = [_score(score) for score in comparison.scores]
-    coasting = {technique: _coasting(coast) for technique, coast in comparison.coasting.items()}
+    scores = [
+        {
+            "technique": score.technique,
+            "quantity": score.quantity,
+            **vars(score.error),
+            "ratio_to_mean": score.ratio,
+            "consistency": score.consistency and {**vars(score.consistency), "holds": score.consistency.holds},
+        }
+        for score in comparison.scores
+    ]
+    coasting = {
+        technique: {
+            "coasts": len(coast.begins_s),
+            "heading_rms_deg": coast.heading_rms_deg,
+            "velocity_rms_mps": coast.velocity_rms_mps,
+            **vars(coast),
+        }
+        for technique, coast in comparison.coasting.items()
+    }
     return {"scores": json_value(scores), "coasting": json_value(coasting)}
-
-
-def _score(score: Score) -> dict[str, Any]:
-    error = score.error
-    figures = {name: getattr(error, name) for name in ("mean", "noise", "rms", "drift")}
-    return {
-        "technique": score.technique,
-        "quantity": score.quantity,
-        "frames": error.frames,
-        **figures,
-        "ratio_to_mean": score.ratio,
-        "consistency": score.consistency and {**vars(score.consistency), "holds": score.consistency.holds},
-    }
-
-
-def _coasting(coast: Coasting) -> dict[str, Any]:
-    return {
-        "coasts": len(coast.begins_s),
-        "heading_rms_deg": coast.heading_rms_deg,
-        "velocity_rms_mps": coast.velocity_rms_mps,
-        "heading_deg": coast.heading_deg,
-        "velocity_mps": coast.velocity_mps,
-        "begins_s": coast.begins_s,
-    }
 
 
 _PRINTED_MEASURES = ("rms", "noise", "drift")
@@ -192,7 +175,7 @@ def print_evaluation(report: dict[str, Any]) -> None:
 
 
 def _score_line(score: dict[str, Any], factor: float) -> str:
-    figures = " ".join(_three(factor * value for value in score[name]) for name in _PRINTED_MEASURES)
+    triads = (" ".join(f"{factor * value:7.3f}" for value in score[name]) for name in _PRINTED_MEASURES)
     ratio, consistency = score["ratio_to_mean"]["XYZ"], score["consistency"]
     interval = "-" if ratio["high"] is None else f"{ratio['ratio']:6.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"
     normal = (
@@ -201,7 +184,7 @@ def _score_line(score: dict[str, Any], factor: float) -> str:
         else f"{consistency['normalised']:.3g} ({consistency['low']:.2f} to {consistency['high']:.2f})"
     )
     wrong = "" if consistency is None or consistency["holds"] else " !"
-    return f"  {score['technique']:{NAME_WIDTH}} {figures} {interval:22} {normal}{wrong}"
+    return f"  {score['technique']:{NAME_WIDTH}} {' '.join(triads)} {interval:22} {normal}{wrong}"
 
 
 def _print_coasting(coasting: dict[str, Any]) -> None:
@@ -218,7 +201,3 @@ def _print_coasting(coasting: dict[str, Any]) -> None:
                 f"  {technique:{NAME_WIDTH}}   heading {heading:8.4f} deg   horizontal velocity {velocity:8.4f} m/s"
                 f"   of {counted(coast['coasts'], 'coast')}"
             )
-
-
-def _three(values: Iterable[float]) -> str:
-    return " ".join(f"{value:7.3f}" for value in values)

@@ -33,7 +33,6 @@ from imuarray.shipped import find_model
 
 if TYPE_CHECKING:
     from imuarray.gap.findings.diagnosis import Diagnosis
-    from imuarray.simulate.model import Model
 
 FILES = ("gap.json", "repaired.toml", "report.html")
 """The files that are written into the output folder."""
@@ -113,6 +112,7 @@ def diagnose(options: DiagnoseOptions) -> None:
     """
     from imuarray import diagnose as diagnose_logs
     from imuarray.gap.diagnose import library
+    from imuarray.simulate import load_model
 
     library(options.without)
     output = options.output
@@ -121,7 +121,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         steps.begin("opening the logs")
         diagnosis = diagnose_logs(
             options.logs,
-            model=_model(options.model_name),
+            model=None if options.model_name is None else load_model(find_model(Path(options.model_name))),
             only=options.only,
             against=options.against,
             without=options.without,
@@ -134,12 +134,6 @@ def diagnose(options: DiagnoseOptions) -> None:
     if output is not None:
         _write(output, diagnosis)
     _print_diagnosis(diagnosis, options.as_json)
-
-
-def _model(name: str | None) -> Model | None:
-    from imuarray.simulate import load_model
-
-    return None if name is None else load_model(find_model(Path(name)))
 
 
 def _write(folder: Path, diagnosis: Diagnosis) -> None:

@@ -31,7 +31,7 @@ from imuarray.printable import counted, printable
 from imuarray.shipped import find_map
 
 if TYPE_CHECKING:
-    from imuarray.importers import Importer, ImportSummary
+    from imuarray.importers import ImportSummary
 
 _WIDTH = 110
 _IS_LOG = "{}: is a log already; all commands can read it"
@@ -75,7 +75,7 @@ def command(options: ImportOptions) -> None:
     imuarray import data.csv --map map.toml -o run.h5
     imuarray import run.npz -o run2.h5
     """
-    from imuarray.importers import importer
+    from imuarray.importers import importer, importer_of
     from imuarray.importers.table import import_table
 
     if options.guess:
@@ -85,7 +85,9 @@ def command(options: ImportOptions) -> None:
         return
     if options.output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    exported = _reader_of_export(options.source) if options.map_path is None and options.format_name is None else None
+    exported = None
+    if options.map_path is None and options.format_name is None and not options.source.is_dir():
+        exported = importer_of(options.source)
     if exported is None and (options.map_path is None) == (options.format_name is None):
         if _is_log(options.source):
             raise click.UsageError(_IS_LOG.format(options.source))
@@ -126,7 +128,6 @@ def _disk_errors() -> Iterator[None]:
 
 
 def _is_log(source: Path) -> bool:
-    """Return whether a file is a log already."""
     from imuarray.log import Log
 
     if source.suffix != ".h5" or not source.is_file():
@@ -136,13 +137,6 @@ def _is_log(source: Path) -> bool:
             return True
     except LogError:
         return False
-
-
-def _reader_of_export(source: Path) -> Importer | None:
-    """Return the reader of a file that `imuarray export` wrote; None for any other file. SourceError."""
-    from imuarray.importers import importer_of
-
-    return importer_of(source) if not source.is_dir() else None
 
 
 def _guess(source: Path, output: Path | None, force: bool) -> None:

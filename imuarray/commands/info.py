@@ -94,7 +94,6 @@ def _wall_time(epoch: str, at_ns: int | None) -> str | None:
 
 
 def _sensor(sensor: SensorLog) -> dict[str, Any]:
-    """Return the summary of one sensor."""
     rows = len(sensor)
     seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if rows > 1 else 0.0
     return {
@@ -131,7 +130,6 @@ def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
 
 
 def _print(summary: dict[str, Any]) -> None:
-    """Print the summary as text."""
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
     dated = summary["dated"]
     imported = summary["source"] == "imported"

@@ -353,7 +353,6 @@ def _remark(text: str) -> None:
 
 
 def _fusion(options: LogOptions, judge: StartStateDetector | None) -> LiveFusion:
-    """Return the fusion that runs while the log is recorded."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
     from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions, default_path

@@ -21,7 +21,6 @@ from imuarray.commands.options import Duration, argument, option, takes
 from imuarray.spelling import guess_file
 
 if TYPE_CHECKING:
-    from imuarray.calibrate import Calibration
     from imuarray.monitor import LogMonitor, Snapshot
 
 _HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
@@ -118,14 +117,22 @@ def command(options: MonitorOptions) -> None:
         raise click.UsageError(f"{options.run}: is not a log; allowed is an HDF5 file (.h5) that is written or will be")
     if options.run.is_dir():
         raise click.UsageError(f"{options.run}: is a folder; a log is a file")
-    calibration = _calibration(options.calibration)
+    calibration = None
+    if options.calibration is not None:
+        from imuarray.calibrate import load_calibration
+
+        calibration = load_calibration(options.calibration)
     if options.once and not (options.as_text or options.as_json):
         raise click.UsageError("--once needs --text or --json")
     run = options.run
     if options.once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
         raise click.UsageError(f"{run}: no such file{guess_file(run)}")
     if options.as_text or options.as_json:
-        with _monitor(options.run, calibration, options.result) as monitor:
+        from imuarray.monitor import LogMonitor
+        from imuarray.monitor.log_monitor import lower_priority
+
+        lower_priority()
+        with LogMonitor(options.run, calibration=calibration, result=options.result) as monitor:
             _show(monitor, options.every_s, as_json=options.as_json, once=options.once)
     else:
         from imuarray.monitor.server import PageOptions, serve
@@ -140,20 +147,6 @@ def command(options: MonitorOptions) -> None:
             parent=options.parent,
         )
         serve(options.run, page)
-
-
-def _monitor(run: Path, calibration: Calibration | None, result: Path | None) -> LogMonitor:
-    from imuarray.monitor import LogMonitor
-    from imuarray.monitor.log_monitor import lower_priority
-
-    lower_priority()
-    return LogMonitor(run, calibration=calibration, result=result)
-
-
-def _calibration(path: Path | None) -> Calibration | None:
-    from imuarray.calibrate import load_calibration
-
-    return None if path is None else load_calibration(path)
 
 
 def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:

@@ -173,7 +173,6 @@ def only_option(help: str) -> Callable[[_Decorated], _Decorated]:
     return names_option("--only", "--sensor", "only", metavar="SENSOR,...", help=help, may_be_empty=False)
 
 
-_USUAL = (signal.default_int_handler,)
 _ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _EVERY_S = 5.0
@@ -197,14 +196,7 @@ class Duration(_Seconds):
         """Allow durations above 0 from `minimum_s` to `maximum_s`."""
         self.minimum_s, self.maximum_s = minimum_s, maximum_s
 
-    _SECONDS: ClassVar[Mapping[str, float]] = {
-        "": 1,
-        "ms": 1e-3,
-        "s": 1,
-        "min": 60,
-        "h": 3600,
-        "d": 86400,
-    }
+    _SECONDS: ClassVar[Mapping[str, float]] = {"": 1, "ms": 1e-3, "s": 1, "min": 60, "h": 3600, "d": 86400}
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the seconds; a usage error states what is allowed."""
@@ -286,11 +278,11 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
     hidden = not length or not sys.stderr.isatty()
     with (
         click.progressbar(length=max(length, 1), label=label, file=sys.stderr, hidden=hidden) as bar,
-        _Interrupt() as stop,
+        _interrupts() as heed,
     ):
 
         def move(done: int) -> None:
-            stop.heed()
+            heed()
             bar.update(min(done, length) - bar.pos)
 
         yield move
@@ -374,47 +366,46 @@ def progress_line(label: str, done: int, length: int, took_s: float) -> str:
 
 
 @contextmanager
+def signal_handlers(handlers: Mapping[int, Any]) -> Iterator[None]:
+    """Handle signals by these functions; the earlier handlers are restored at the end."""
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise KeyboardInterrupt as Ctrl-C does, so that everything is cleaned up. A SIGHUP that is
     ignored (nohup) stays ignored. Does nothing outside the main thread.
     """
-    handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in _ENDING[1:]:
-            if signal.getsignal(number) is signal.SIG_DFL:
-                handlers[number] = signal.signal(number, signal.default_int_handler)
-    try:
+    usual = [number for number in _ENDING[1:] if signal.getsignal(number) is signal.SIG_DFL]
+    with signal_handlers(dict.fromkeys(usual, signal.default_int_handler) if _in_main_thread() else {}):
         yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
-class _Interrupt:
-    """Context manager that remembers a KeyboardInterrupt which Python loses, because it was raised inside a callback of
-    the garbage collector; `heed` raises it again.
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[], None]]:
+    """Yield a function that raises KeyboardInterrupt again if Python lost one, because it was raised inside a callback
+    of the garbage collector.
     """
+    asked = False
 
-    def __init__(self) -> None:
-        self._asked = False
-        self._before: dict[int, Any] = {}
-
-    def _ask(self, number: int, frame: Any) -> None:
-        self._asked = True
+    def ask(number: int, frame: Any) -> None:
+        nonlocal asked
+        asked = True
         raise KeyboardInterrupt
 
-    def heed(self) -> None:
-        """Raise KeyboardInterrupt if an interrupt was requested and lost."""
-        if self._asked:
+    def heed() -> None:
+        if asked:
             raise KeyboardInterrupt
 
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for number in _ENDING:
-                if signal.getsignal(number) in _USUAL:
-                    self._before[number] = signal.signal(number, self._ask)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+    usual = [number for number in _ENDING if signal.getsignal(number) is signal.default_int_handler]
+    with signal_handlers(dict.fromkeys(usual, ask) if _in_main_thread() else {}):
+        yield heed

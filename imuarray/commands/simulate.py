@@ -281,7 +281,6 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
 
 
 def _write(simulation: Simulation, path: Path, log: Log | None, note: str, options: SimulateOptions) -> Written:
-    """Write one log, with a progress bar."""
     from imuarray.simulate import total_rows, write_log
     from imuarray.simulate.record import EPOCH, Division, Origin
 
