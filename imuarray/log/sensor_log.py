@@ -98,7 +98,8 @@ class SensorLog(CountScale):
         self.rate_hz = self._magnitude("rate_hz", 0.0)
         self.bandwidth_hz = self._magnitude("bandwidth_hz", 0.0)
         self.delay_ns = round(self._number("delay_ns", 0.0))
-        self.axes = self._text("axes")
+        is_stated = self.is_triad or self._attribute("axes", "") != ""  # a barometer has no direction
+        self.axes = self._text("axes") if is_stated else "+X+Y+Z"
         zero_degc, lsb_per_degc = (self._number(name, 0.0) for name in THERMOMETER_ATTRIBUTES)
         self.thermometer = ThermometerScale(zero_degc, lsb_per_degc) if lsb_per_degc else None
         self.adjustment_words = {

@@ -47,6 +47,17 @@ def test_counts_are_read_as_signed_integers(tmp_path: Path, stored: str, read: s
             log.keep_rows()
 
 
+@pytest.mark.parametrize("axes", [{"axes": ""}, {}])
+def test_a_barometer_needs_no_axes(tmp_path: Path, axes: dict[str, str]) -> None:
+    path = write(tmp_path / "a.h5", {"time": np.arange(2), "counts": np.zeros((2, 3), np.int16)})
+    with h5py.File(path, "r+") as file:
+        file.create_group("sensors/B").attrs.update({"chip": "bmp180", "quantity": "pressure", "unit": "Pa"} | axes)
+        file["sensors/B/time"] = np.arange(2)
+        file["sensors/B/counts"] = np.zeros((2, 2), np.int32)
+    with open_log(path) as log:
+        assert (len(log["B"]), log["B"].axes) == (2, "+X+Y+Z")
+
+
 @pytest.mark.parametrize("stored", ["u8", ">u8", ">i8", "i8"])
 def test_times_beyond_53_bits_keep_their_last_nanosecond(tmp_path: Path, stored: str) -> None:
     """2**60 + 1 ns is no float; a sum of uint64 and int64 is one."""
