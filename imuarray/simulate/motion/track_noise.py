@@ -20,6 +20,11 @@ averaged; and the multiple of the noise power above which their mean power is ta
 noise alone rarely exceeds this multiple.
 """
 
+_NEAR_BINS = 3
+"""Number of nearest bins whose mean power has to exceed the noise, too: a pendulum moves at a single frequency, and the
+noise of the bins around it is no motion.
+"""
+
 _FEWEST_ROWS = 64
 """Minimum number of rows of a stretch, both for estimating the noise and for reducing it."""
 
@@ -68,7 +73,9 @@ def reduce_noise(values: Reals, variance: Reals, *, keeps_power: bool = False) -
     moved = values - line
     principal = np.linalg.eigh(moved.T @ moved)[1]
     spectrum = np.fft.rfft(moved @ principal, axis=0)
-    power = uniform_filter1d(np.abs(spectrum) ** 2, _BINS, axis=0, mode="nearest") / count
+    squares = np.abs(spectrum) ** 2 / count
+    wide, near = (uniform_filter1d(squares, bins, axis=0, mode="nearest") for bins in (_BINS, _NEAR_BINS))
+    power = np.minimum(wide, near)
     noise = variance @ principal**2
     share = np.where(power > _ABOVE_NOISE * noise, 1 - noise / np.maximum(power, 1e-30), 0.0)
     kept = np.sqrt(share) if keeps_power else share
