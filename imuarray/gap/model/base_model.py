@@ -36,7 +36,6 @@ from imuarray.gap.model.populations import (
     POSITION_SIGMA_MM,
     THERMAL_GROWTH_SIGMA,
     TOLERANCE_SIGMAS,
-    is_usual,
     response_tolerance,
     usual_flicker,
     usual_model,
@@ -222,8 +221,8 @@ class Base:
         over temperature they include the curve, and the slope if the recording's temperatures do not determine it; for
         an accelerometer they include its position in the box, drawn around that of its header.
 
-        In even replicates data clocks without a fitted error are in step with the polls, and biases are the same at
-        each power-on; in odd ones these clocks have a rate error and biases scatter. A recording can be of either kind.
+        In even replicates data clocks without a fitted error are in step with the polls; in odd ones these clocks have
+        a rate error. A recording can be of either kind.
         """
         units = Streams(replicate_seed(self.seed, replicate))
         return {name: self._drawn(self.headers[name], units, replicate) for name in self.fitted}
@@ -248,7 +247,6 @@ class Base:
             *self._flicker(header, units),
         )
         is_odd = bool(replicate % 2)
-        effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
         if header.name in self.queued:  # rows have the times at which the chip took the readings
             return tuple(effect for effect in effects if not isinstance(effect, OwnClock))
         if not any(isinstance(effect, OwnClock) for effect in effects):
