@@ -13,9 +13,9 @@ import pytest
 
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.recording import movement
-from imuarray.gap.recording.movement import movements_of, shows_motion
+from imuarray.gap.recording.movement import movements_of, shaken_quantities, shows_motion
 from imuarray.gap.recording.quiet import QuietRest, quiet_rest
-from imuarray.gap.recording.recordings import recording_of
+from imuarray.gap.recording.recordings import recording_of, recordings_of
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.posed import Movement, PoseSequence
@@ -66,9 +66,11 @@ def written(
     reversed_sensor: str = "",
     shaking: tuple[float, float] = (0.0, 1.0),
     shaken_s: tuple[float, float] = (4.0, 8.0),
+    rocking: tuple[float, float] = (0.0, 1.0),
 ) -> Log:
     """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed. In a
-    stretch accelerometers are shaken along z of the box, by an amplitude in g at a frequency in Hz.
+    stretch accelerometers are shaken along z of the box, by an amplitude in g at a frequency in Hz, and gyroscopes by
+    `rocking` about z, in dps.
     """
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, header in enumerate(sensors):
@@ -76,9 +78,9 @@ def written(
             if number == 0:
                 time = time[~((missing_s[0] * SECOND <= time) & (time < missing_s[1] * SECOND))]
             sign = -1 if header.name == reversed_sensor else 1
-            amplitude_g, hertz = shaking if header.unit == "g" else (0.0, 1.0)
+            amplitude, hertz = shaking if header.unit == "g" else rocking
             moves = (time >= shaken_s[0] * SECOND) & (time < shaken_s[1] * SECOND)
-            shaken = amplitude_g * np.sin(2 * np.pi * hertz * time * 1e-9) * moves
+            shaken = amplitude * np.sin(2 * np.pi * hertz * time * 1e-9) * moves
             reading = (sign * stimulus(header, time * 1e-9) + biases[number]) * header.sensitivity
             reading += shaken[:, None] * np.asarray(header.orientation)[2] * header.sensitivity
             noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
@@ -224,6 +226,44 @@ def test_accelerometers_shaken_at_every_rest_are_excluded(tmp_path: Path) -> Non
         assert set(recording.experiment.plan.sensors) == expected
         assert recording.phases == (REST,)
         assert any("shaken in every phase" in note for note in recording.notes) == (count == 3)
+
+
+@pytest.mark.parametrize(
+    ("rocking", "accelerometers", "expected"),
+    [
+        ((0.5, 7.0), 2, {"specific_force", "angular_rate"}),
+        ((0.5, 33.0), 2, {"specific_force"}),
+        ((0.0, 7.0), 2, {"specific_force"}),
+        ((0.5, 7.0), 1, set()),
+    ],
+)
+def test_a_single_gyroscope_is_shaken_at_the_frequency_of_the_accelerometers(
+    tmp_path: Path, rocking: tuple[float, float], accelerometers: int, expected: set[str]
+) -> None:
+    """A line of the gyroscope at another frequency is its own, and a single accelerometer shows no shaken box."""
+    sensors = array(accelerometers=accelerometers, gyroscopes=1)
+    log = written(
+        tmp_path / "log.h5",
+        sensors,
+        rates_hz=(200.0, 200.0, 200.0),
+        shaking=(0.003, 7.0),
+        shaken_s=(0.0, 4.0),
+        rocking=rocking,
+    )
+    assert set(shaken_quantities(list(log.sensors.values()), REST)) == expected
+
+
+def test_a_log_with_a_shaken_box_is_left_out(tmp_path: Path) -> None:
+    """If the box is shaken in all logs, all of them are compared."""
+    sensors = array(accelerometers=2, gyroscopes=0)
+    shaken, calm = (
+        written(tmp_path / f"{name}.h5", sensors, shaking=(amplitude, 7.0), shaken_s=(0.0, 12.0), phases=(REST,))
+        for name, amplitude in (("shaken", 0.003), ("calm", 0.0))
+    )
+    (recording,) = recordings_of([shaken, calm])
+    assert recording.name == "calm.h5"
+    assert recording.notes[0].startswith("shaken.h5 is left out: the box is shaken")
+    assert [each.name for each in recordings_of([shaken, shaken])] == ["shaken.h5", "shaken.h5"]
 
 
 @pytest.mark.slow

@@ -34,8 +34,10 @@ def logged(
     frame_rate_hz: float = 0.0,
     flag: int = LOST_BEFORE,
     kind: str = "late",
+    reported: str = "",
 ) -> Recording:
-    """At rest for 20 s; each sensor lacks the rows `lost`; the logger reports that it was late. If it `is_delayed`
+    """At rest for 20 s; each sensor lacks the rows `lost`; the logger reports `message` on the sensor
+    `reported` ("": that it was late). If it `is_delayed`
     within a frame, the row after the lost rows is 1 ms before the next row, which has the flag instead.
     """
     rng = np.random.default_rng(1)
@@ -55,7 +57,7 @@ def logged(
             log.append(sensor.name, Block(time[held], counts[held], status[held]))
         log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
         if message:
-            log.event(Event(round(late_s * SECOND), "", kind, message))
+            log.event(Event(round(late_s * SECOND), reported, kind, message))
     return recording_of(open_log(path))
 
 
@@ -133,6 +135,24 @@ def test_delays_reported_by_other_loggers_are_used(
     """A single sensor lacks rows, and there is an event without a sensor at the next row."""
     recording = logged(tmp_path / "log.h5", {"Acc": slice(400, 403)}, message, 403 / RATE_HZ, SENSORS[:1], kind=kind)
     assert due(recording)["Acc"] == ROWS - 3 * is_of_recorder
+
+
+@pytest.mark.parametrize(
+    ("rows", "late_s", "reported", "is_of_recorder"),
+    [
+        (slice(300, 301), 6.02, "Acc", True),
+        (slice(300, 301), 6.02, "Gyro", False),
+        (slice(300, 301), 9.0, "Acc", False),
+        (slice(300, 302), 6.04, "Acc", False),
+    ],
+)
+def test_a_single_reading_that_the_logger_reports_as_lost_is_usual(
+    tmp_path: Path, rows: slice, late_s: float, reported: str, is_of_recorder: bool
+) -> None:
+    """Two of 1000 readings, a loss that is reported on another sensor or at another time: these are not usual."""
+    recording = logged(tmp_path / "log.h5", {"Acc": rows}, "bus error", late_s, kind="lost", reported=reported)
+    assert due(recording) == {"Acc": ROWS - is_of_recorder, "Gyro": ROWS}
+    assert any("lost readings, as any bus has them: Acc (1)" in note for note in recording.notes) is is_of_recorder
 
 
 @pytest.mark.parametrize("is_delayed", some([True, False], 1))

@@ -53,6 +53,17 @@ _SHARED_OVER_OWN, _WINDOWS_AT_REST = 2.0, 4096
 which the box is not at rest; and the largest number of windows of a phase that are used to decide this.
 """
 
+_SEGMENT_ROWS, _FEWEST_SEGMENTS, _INDEPENDENT, _FIRST_BIN = 64, 16, 0.6, 2
+"""Rows of a segment and fewest segments from which a spectrum is estimated; number of independent segments of one that
+overlaps by half with the next; and the first bin that is used.
+"""
+
+_LOUD, _LOUD_SHARE, _RAISED, _RAISED_SIGMAS = 4.0, 0.01, 1.5, 6.0
+"""Ratio to the median of a spectrum, and share of the highest one, above which a box is shaken at a frequency; the mean
+ratio of another sensor at these frequencies above which it is shaken too, and the number of standard deviations that it
+has to exceed that by.
+"""
+
 _CLIPPED = 0.97
 """Share of the range above which a rate is assumed to be clipped: zero and scale vary from part to part."""
 
@@ -132,10 +143,63 @@ def vibrates(triads: Sequence[SensorLog], phase: Phase, noise: Mapping[str, Floa
 
 def shaken_quantities(triads: Sequence[SensorLog], rest: Phase) -> list[str]:
     """Return the quantities in which all sensors, two or more, measure the same changes along an axis of the box in a
-    phase at rest, well above their noise: a hand holds the box, or an engine runs.
+    phase at rest, well above their noise: a hand holds the box, or an engine runs. A quantity with a single sensor is
+    shaken too if its spectrum is raised at the same frequencies.
     """
     groups = {quantity: [sensor for sensor in triads if sensor.quantity == quantity] for quantity in INERTIAL}
-    return [quantity for quantity, group in groups.items() if len(group) > 1 and _is_shared(group, rest)]
+    shaken = {quantity: group for quantity, group in groups.items() if len(group) > 1 and _is_shared(group, rest)}
+    singles = {quantity: group[0] for quantity, group in groups.items() if len(group) == 1}
+    return [
+        *shaken,
+        *(
+            quantity
+            for quantity, single in singles.items()
+            if any(_is_shaken_with(single, group, rest) for group in shaken.values())
+        ),
+    ]
+
+
+def _is_shaken_with(single: SensorLog, sensors: Sequence[SensorLog], rest: Phase) -> bool:
+    """Return whether the spectrum of a sensor at rest is raised at those frequencies at which a box is shaken according
+    to other sensors.
+    """
+    spectra = [spectrum for sensor in sensors if (spectrum := _spectrum(sensor, rest)) is not None]
+    own = _spectrum(single, rest)
+    if own is None or not spectra:
+        return False
+    heights = [np.interp(own.hertz, other.hertz, other.height.max(axis=1), left=0.0, right=0.0) for other in spectra]
+    height = np.median(heights, axis=0)
+    is_loud = height > max(_LOUD, _LOUD_SHARE * height.max())
+    if not is_loud.any():
+        return False
+    chance = 1 / np.sqrt(own.segments * np.count_nonzero(is_loud))
+    return bool(own.height[is_loud].mean(axis=0).max() > _RAISED + _RAISED_SIGMAS * chance)
+
+
+class _Spectrum(NamedTuple):
+    """Power of a sensor's readings at rest at frequencies `hertz` (f,), relative to the median over the frequencies:
+    `height` (f, 3), from a number of independent `segments`.
+    """
+
+    hertz: Floats
+    height: Floats
+    segments: float
+
+
+def _spectrum(sensor: SensorLog, rest: Phase) -> _Spectrum | None:
+    """Return the spectrum of a sensor, from overlapping segments (Welch); None with too few rows."""
+    rows = sensor.between(rest.start_ns, rest.end_ns)
+    counts = np.asarray(sensor.counts[rows][:_SOME_ROWS], float)
+    segments = 2 * len(counts) // _SEGMENT_ROWS - 1
+    if segments < _FEWEST_SEGMENTS:
+        return None
+    cut = np.arange(segments)[:, None] * (_SEGMENT_ROWS // 2) + np.arange(_SEGMENT_ROWS)
+    parts = counts[cut] - counts[cut].mean(axis=1, keepdims=True)
+    transform = np.fft.rfft(parts * np.hanning(_SEGMENT_ROWS)[:, None], axis=1)[:, _FIRST_BIN:]
+    power = (np.abs(transform) ** 2).mean(axis=0)
+    interval_s = float(np.median(np.diff(np.asarray(sensor.time[rows][: len(counts)], float)))) * 1e-9
+    hertz = np.arange(_FIRST_BIN, _FIRST_BIN + len(power)) / (_SEGMENT_ROWS * interval_s)
+    return _Spectrum(hertz, power / np.maximum(np.median(power, axis=0), 1e-30), segments * _INDEPENDENT)
 
 
 def _is_shared(sensors: Sequence[SensorLog], rest: Phase) -> bool:

@@ -35,8 +35,9 @@ Up = tuple[float, float, float]
 _SHORT = 0.25
 """Least length of a static stretch, as a share of the longest one. In a shorter one, a hand often holds the box."""
 
-MOST_TILT_DEG = 5.0
-"""Largest tilt of a box on a noted face, in degrees; a nuisance quantity. If the tilt is larger, the note is doubted.
+MOST_TILT_DEG = 15.0
+"""Largest tilt of a box on a noted face, in degrees; a nuisance quantity. By hand a box is set up within a dozen
+degrees. If the tilt is larger, the note is doubted.
 """
 
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000

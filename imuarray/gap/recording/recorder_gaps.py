@@ -5,6 +5,9 @@ sensor was read, the gap says nothing about the sensors: the recorder's timing i
 becomes a note. A gap is the recorder's if all other sensors that were due are missing as well, or if an event of the
 logger reports missed frames.
 
+Now and then every bus fails: a few readings in ten thousand that the logger itself reports as lost are the recorder's
+too.
+
 Two other kinds of gap contain no lost row. One is a gap within the period of a slow chip that is polled more often than
 it measures. The other is a gap of a queue that reports no overflow: the recorder computes its times from those of the
 polls, and the first of these times are not yet even.
@@ -53,6 +56,9 @@ CHANCE = 0.01
 attributed to the recorder.
 """
 
+USUAL_LOSSES = 5e-4
+"""Largest share of a sensor's readings that a bus usually loses. A single reading is never more than usual."""
+
 _DELAYED = re.compile(r"\b(late|miss(ed|ing)|stall(ed|s)?|delay(ed|s)?|busy)\b", re.IGNORECASE)
 """Pattern for a delay of the recorder in the kind or message of an event; "late" is the kind that this logger writes.
 """
@@ -94,6 +100,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     delays = [_delay(event, frame_ns) for event in log.events if _is_delay(event)]
     timelines, ends_ns, uncertain_ns = dict(lines), {}, {}
     most: list[_Gap] = []
+    losses_of: list[str] = []
     for name, line in lines.items():
         if not isinstance(line, GapFilledTimes):
             continue
@@ -110,17 +117,25 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
             is_idle |= ~np.array([_overflowed(log[name], gap) for gap in gaps])
         is_idle &= ~(is_late | is_common)
         is_own = ~(is_late | is_common | is_idle)
+        reports_ns = np.sort([event.time_ns for event in log.events if event.sensor == name])
+        is_reported = is_own & np.array([_is_reported(gap, usual_ns[name], reports_ns) for gap in gaps])
+        few = int(line.missing[is_reported].sum())
+        if 0 < few <= max(USUAL_LOSSES * line.rows, 1):
+            is_own &= ~is_reported
+            losses_of.append(f"{name} ({few})")
         if is_own.all():
             continue
         of_recorder = [gap for gap, of_sensor in zip(gaps, (is_own | is_idle).tolist(), strict=True) if not of_sensor]
+        of_common = [gap for gap, is_of_all in zip(gaps, (is_late | is_common).tolist(), strict=True) if is_of_all]
         lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
         timelines[name] = lost if is_own.any() else line.recorded
         ends_ns[name] = np.array([gap.end_ns for gap in of_recorder], np.int64)
         uncertain = _uncertain_times(log[name], usual_ns[name], of_recorder)
         if len(uncertain):
             uncertain_ns[name] = uncertain
-        most = max(most, of_recorder, key=len)
-    return RecorderGaps(timelines, ends_ns, _sentence(most), uncertain_ns)
+        most = max(most, of_common, key=len)
+    sentences = [_sentence(most), _sentence_of_losses(losses_of)]
+    return RecorderGaps(timelines, ends_ns, "; ".join(filter(None, sentences)), uncertain_ns)
 
 
 def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -> Integers:
@@ -136,6 +151,12 @@ def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
     """Return whether the logger reports a delay during the gap."""
     return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
+
+
+def _is_reported(gap: _Gap, usual_ns: float, reports_ns: Integers) -> bool:
+    """Return whether one of the logger's reports on a sensor (r,), in ascending order, is about the gap."""
+    first, last = np.searchsorted(reports_ns, [gap.begin_ns - usual_ns, gap.end_ns + usual_ns])
+    return bool(first < last)
 
 
 def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
@@ -203,3 +224,9 @@ def _sentence(gaps: Sequence[_Gap]) -> str:
         f"the recorder read no sensor for {np.median(lengths_s):.2g} s, {times} ({lengths_s.sum():.3g} s in all); "
         "these rows are missing, not different"
     )
+
+
+def _sentence_of_losses(losses_of: Sequence[str]) -> str:
+    if not losses_of:
+        return ""
+    return f"the logger reports a few lost readings, as any bus has them: {', '.join(losses_of)}"

@@ -125,7 +125,8 @@ class Recording:
 
     `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` are the stretches that are compared,
     `experiment` is what a simulation of the log needs, lost rows included, `notes` say what was assumed or left out,
-    `gap_ends_ns` has by sensor the times of the first rows after gaps of the recorder.
+    `gap_ends_ns` has by sensor the times of the first rows after gaps of the recorder. `is_shaken`: all of its sensors
+    are on a box that is shaken in every phase at rest.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Recording:
     experiment: Experiment
     notes: tuple[str, ...] = ()
     gap_ends_ns: Mapping[str, Times] = field(default_factory=dict)
+    is_shaken: bool = False
 
     @cached_property
     def temperature_source(self) -> TemperatureSource:
@@ -157,6 +159,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     motion = LikeLog(log)
     comparable = phases_of(log, motion, chosen)
     phases, movements = comparable.phases, comparable.movements
+    is_shaken = all(log[name].quantity in comparable.shaken for name in chosen)
     chosen, shaken_notes = _without_shaken(log, chosen, comparable.shaken)
     heated = is_heated(phases, motion)
     tracked = phases if motion.source != "phases" else tuple(filter(is_at_rest, phases))
@@ -195,9 +198,8 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
         if any(map(len, times_ns)):
             uncertain_ns[name] = np.unique(np.concatenate(times_ns))
     experiment = Experiment(replace(plan, sensors=sensors), posed, uncertain_ns, has_temperature)
-    return Recording(
-        log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
-    )
+    kind = kind_of(phases, attitudes, heated=heated)
+    return Recording(log.path.name, log, kind, phases, experiment, notes, gaps.ends_ns, is_shaken)
 
 
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:
@@ -225,7 +227,17 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
         recording = recording_of(log, here)
         lacking = tuple(f"{name} is left out: it was not read in this log." for name in names if name not in here)
         recordings.append(replace(recording, notes=(*lacking, *recording.notes)))
-    return _without_unknown_temperature(recordings)
+    return _without_unknown_temperature(_without_shaken_logs(recordings))
+
+
+def _without_shaken_logs(recordings: Sequence[Recording]) -> Sequence[Recording]:
+    """Return the recordings without those in which the box is shaken in every phase at rest, or all if it always is."""
+    calm = [recording for recording in recordings if not recording.is_shaken]
+    if not calm or len(calm) == len(recordings):
+        return recordings
+    why = "the box is shaken in every phase at rest, as its sensors show"
+    notes = [f"{recording.name} is left out: {why}." for recording in recordings if recording.is_shaken]
+    return (replace(calm[0], notes=(*notes, *calm[0].notes)), *calm[1:])
 
 
 def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
