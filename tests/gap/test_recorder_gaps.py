@@ -155,6 +155,14 @@ def test_a_single_reading_that_the_logger_reports_as_lost_is_usual(
     assert any("lost readings, as any bus has them: Acc (1)" in note for note in recording.notes) is is_of_recorder
 
 
+@pytest.mark.parametrize(("flag", "is_of_recorder"), [(0, True), (LOST_BEFORE, False), (OVERRUN, False)])
+def test_a_gap_of_a_single_sensor_is_the_recorders_unless_it_is_flagged(
+    tmp_path: Path, flag: int, is_of_recorder: bool
+) -> None:
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 305)}, sensors=SENSORS[:1], flag=flag)
+    assert due(recording) == {"Acc": ROWS - 5 * is_of_recorder}
+
+
 @pytest.mark.parametrize("is_delayed", some([True, False], 1))
 def test_a_gap_of_the_recorder_does_not_change_the_statistics(tmp_path: Path, is_delayed: bool) -> None:
     rows = slice(300, 340)

@@ -3,7 +3,8 @@
 If one sensor lacks a row while the others were read, the row is lost, and the simulator may fail to lose it. If no
 sensor was read, the gap says nothing about the sensors: the recorder's timing is a nuisance quantity, and the gap
 becomes a note. A gap is the recorder's if all other sensors that were due are missing as well, or if an event of the
-logger reports missed frames.
+logger reports missed frames. In a log with a single sensor it is the recorder's unless the next row has the flag of a
+loss.
 
 Now and then every bus fails: a few readings in ten thousand that the logger itself reports as lost are the recorder's
 too.
@@ -107,10 +108,13 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         others = [(log[other], interval_ns) for other, interval_ns in usual_ns.items() if other != name]
         gaps = [_Gap(begin_ns, end_ns) for begin_ns, end_ns, _ in line.holes()]
         is_late = np.array([_is_late(gap, usual_ns[name], delays) for gap in gaps])
-        is_common = np.array([_is_common(gap, others) for gap in gaps])
+        if others:
+            is_common = np.array([_is_common(gap, others) for gap in gaps])
+        else:  # only the logger can tell that a single sensor lost a reading
+            is_common = ~np.array([_overflowed(log[name], gap) for gap in gaps])
         common_ns = float(np.mean([gap.length_ns for gap in gaps]))
         losses = [_lost_share(*other, common_ns) for other in others if other[1] > 0]
-        if is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
+        if others and is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
             is_common[:] = False
         is_idle = np.array([_is_idle(gap, usual_ns[name], log[name].rate_hz) for gap in gaps])
         if 0 < QUEUED * usual_ns[name] < frame_ns:
