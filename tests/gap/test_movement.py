@@ -14,7 +14,8 @@ import pytest
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.recording import movement
 from imuarray.gap.recording.movement import movements_of, shaken_quantities, shows_motion
-from imuarray.gap.recording.quiet import QuietRest, quiet_rest
+from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.quiet import QuietRest, knocks, quiet_rest
 from imuarray.gap.recording.recordings import recording_of, recordings_of
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
@@ -403,3 +404,53 @@ def test_a_noted_motion_that_two_sensors_show_is_compared(tmp_path: Path) -> Non
     sensors = array(accelerometers=1, gyroscopes=2)
     phases = (REST, TURN._replace(name="motion"), AFTER)
     assert recording_of(written(tmp_path / "log.h5", sensors, phases=phases)).phases == phases
+
+
+@pytest.mark.parametrize(
+    ("shaking", "accelerometers", "is_left_out"),
+    [((0.5, 30.0), 2, True), ((0.02, 5.0), 2, False), ((0.0, 30.0), 2, False), ((0.5, 30.0), 1, False)],
+)
+def test_a_knock_in_a_turn_is_excluded(
+    tmp_path: Path, shaking: tuple[float, float], accelerometers: int, *, is_left_out: bool
+) -> None:
+    """The box rings from 7.0 to 7.2 s of a turn from 4 to 8 s, faster than a hand moves it, or a single accelerometer
+    says so.
+    """
+    sensors = array(accelerometers=accelerometers, gyroscopes=2)
+    rates_hz = (100.0,) * 4
+    log = written(tmp_path / "log.h5", sensors, rates_hz=rates_hz, shaking=shaking, shaken_s=(7.0, 7.2))
+    spans = knocks(list(log.sensors.values()), TURN, [REST])
+    assert bool(spans) == is_left_out
+    if is_left_out:
+        ((begin_ns, end_ns),) = spans
+        assert 6.6 < begin_ns * 1e-9 < 7.0 and 7.2 < end_ns * 1e-9 < 7.6
+        recording = recording_of(log)
+        assert any("the box is knocked" in note for note in recording.notes)
+        assert all(np.any(times == 7_100_000_000) for times in recording.experiment.uncertain_ns.values())
+
+
+@pytest.mark.parametrize(("other_range_g", "is_left_out"), [(16.0, True), (2.0, False)])
+def test_a_knock_that_only_the_quietest_accelerometer_can_measure_is_excluded(
+    tmp_path: Path, other_range_g: float, *, is_left_out: bool
+) -> None:
+    """Noise of two counts: of an accelerometer with an eighth of the range it is an eighth. The other one does not
+    measure the disturbance from 1.5 to 1.6 s; with the same range it would.
+    """
+    quiet, other = array(accelerometers=2, gyroscopes=0)
+    sensors = [
+        replace(quiet, range=2.0, sensitivity=16384.0),
+        replace(other, range=other_range_g, sensitivity=32768 / other_range_g),
+    ]
+    log = written(tmp_path / "log.h5", sensors, shaking=(0.0008, 20.0), shaken_s=(1.5, 1.6), phases=(REST,))
+    log.close()
+    with h5py.File(tmp_path / "log.h5", "r+") as file:
+        counts = file["sensors/Acc1/counts"]
+        counts[150:161] = counts[130:141]
+    with open_log(tmp_path / "log.h5") as log:
+        rest = quiet_rest(list(log.sensors.values()), REST)
+    assert bool(rest.restless) == is_left_out
+
+
+@pytest.mark.parametrize(("name", "is_still"), [("heat", True), ("cool", True), ("soak", True), ("drive", False)])
+def test_the_box_is_at_rest_in_an_oven(name: str, *, is_still: bool) -> None:
+    assert is_at_rest(Phase(0, SECOND, name)) is is_still

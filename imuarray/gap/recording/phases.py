@@ -21,7 +21,7 @@ from imuarray.gap.recording.movement import (
     shows_motion,
     vibrates,
 )
-from imuarray.gap.recording.quiet import quiet_rest
+from imuarray.gap.recording.quiet import knocks, quiet_rest
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -61,6 +61,9 @@ NEEDED_S, NEEDED_ROWS = 3.0, 24
 half a second or four rows, and the first and the last window are cut off.
 """
 
+OVEN_NAMES = frozenset({"heat", "heating", "warm-up", "soak", "cool", "cooling"})
+"""Further names of phases in which the box is at rest while its temperature changes."""
+
 TURN = "turn"
 """Name of a stretch between two noted rests in which the box turns."""
 
@@ -88,14 +91,15 @@ _SAME_COSINE = np.cos(np.radians(10))
 def is_at_rest(phase: Phase) -> bool:
     """Return whether the box is at rest in a phase: an axis is noted as up, or the phase has the name of a rest."""
     name = phase.name
-    return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
+    is_named = name in STILL_NAMES or name in FACE_NAMES or name in OVEN_NAMES
+    return bool(phase.up) or is_named or name.startswith(("run ", "pose "))
 
 
 class ComparablePhases(NamedTuple):
     """The phases of a log that can be compared, and the motions that its own sensors show.
 
     `notes` say what was left out or assumed; `shaken` are the quantities that are shaken in all phases at rest;
-    `restless` are the spans (begin, end), in ns, in which the box was touched or shaken.
+    `restless` are the spans (begin, end), in ns, in which the box was touched, shaken or knocked.
     """
 
     phases: tuple[Phase, ...]
@@ -132,6 +136,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     all_rests = [rest.phase for rest in quiet]
     turns = list(_turns(sorted([*moving, *(rest.phase for rest in still)])))
     movements: list[Movement] = []
+    knocked: list[tuple[int, int]] = []
     if is_tracked and log.phases:
         moving += [turn for turn in turns if moves_by_track(turn, motion)]
     elif is_tracked:
@@ -146,6 +151,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
                 notes.append(f"Phase {phase.name!r} is left out: {reason}.")
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
+        knocked = [span for phase in moving for span in knocks(triads, phase, all_rests)]
     shaken = {rest: shaken_quantities(triads, rest.phase) for rest in quiet}
     rests = [rest for rest, quantities in shaken.items() if not quantities] or quiet
     notes += [f"Phase {rest.phase.name!r} is left out: {_SHAKEN}." for rest in quiet if rest not in rests]
@@ -157,7 +163,10 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     seconds = sum(rest.left_out_s for rest in rests)
     if seconds > 0:
         notes.append(f"{seconds:.3g} s at rest are left out: several sensors show that the box is touched or shaken.")
-    return ComparablePhases(phases, tuple(movements), notes, tuple(always), tuple(restless))
+    if knocked:
+        seconds = sum(end_ns - begin_ns for begin_ns, end_ns in knocked) * 1e-9
+        notes.append(f"{seconds:.3g} s of motions are left out: several sensors show that the box is knocked.")
+    return ComparablePhases(phases, tuple(movements), notes, tuple(always), (*restless, *knocked))
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
