@@ -254,7 +254,7 @@ def prepare(
     base = replace(
         base,
         queued=_queued_in(recordings),
-        ambient_lines=fit_ambient_lines(train.campaign, base.headers),
+        ambient_lines=fit_ambient_lines(campaign, base.headers),  # machines run in some logs only
         common_bias_g=common_bias_sigma_g(base.headers.values()),
     )
     campaign = select_fitted(campaign, base.fitted)
