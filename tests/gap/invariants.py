@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-LEAST_CLOSED, PARTLY_CLOSED, EVEN = 0.9, 0.3, 0.5
+LEAST_CLOSED, PARTLY_CLOSED, EVEN = 0.95, 0.3, 0.5
 """As README.md has them."""
 
 ROUNDING = 1e-12

@@ -113,16 +113,16 @@ def judged(closed: float | None, chances: Sequence[float], unknown: float = 0.1,
 
 
 def test_the_thresholds_of_the_verdict() -> None:
-    """As in README.md: nine tenths, and a probability of a half."""
-    assert (EXPLAINED, PARTLY, EVEN) == (0.9, 0.3, 0.5)
+    """As in docs/explanation/gap.md: 95 %, three tenths, and a probability of a half."""
+    assert (EXPLAINED, PARTLY, EVEN) == (0.95, 0.3, 0.5)
 
 
 @pytest.mark.parametrize(
     ("closed", "chances", "unknown", "left", "verdict"),
     [
         (1.0, [0.9], 0.1, "", "explained"),
-        (0.9, [0.5], 0.49, "", "explained"),
-        (0.89, [0.9], 0.1, "", "partly explained"),
+        (0.95, [0.5], 0.49, "", "explained"),
+        (0.94, [0.9], 0.1, "", "partly explained"),
         (0.95, [0.49], 0.1, "", "partly explained"),  # the effective one of several causes is not determined
         (0.95, [0.9], 0.5, "", "partly explained"),
         (0.3, [0.1], 0.9, "", "partly explained"),
@@ -178,10 +178,10 @@ def test_a_small_remainder_is_partly_explained() -> None:
     ("closed", "chances", "unknown", "left", "reason"),
     [
         (0.95, [0.9], 0.1, "", "the causes close the gap, up to what an inexact form of them leaves"),
-        (0.89, [0.9], 0.1, "", "only 89 % of the gap closes (explained from 90 % on)"),
-        (0.29, [0.9], 0.1, "", "only 29 % of the gap closes (explained from 90 % on)"),
-        (0.8999, [0.9], 0.1, "", "only 89 % of the gap closes (explained from 90 % on)"),
-        (-0.2, [0.9], 0.1, "", "nothing of the gap closes (explained from 90 % on)"),
+        (0.94, [0.9], 0.1, "", "only 94 % of the gap closes (explained from 95 % on)"),
+        (0.29, [0.9], 0.1, "", "only 29 % of the gap closes (explained from 95 % on)"),
+        (0.9499, [0.9], 0.1, "", "only 94 % of the gap closes (explained from 95 % on)"),
+        (-0.2, [0.9], 0.1, "", "nothing of the gap closes (explained from 95 % on)"),
         (0.95, [0.49], 0.1, "", "which of several causes it is remains open: none is more probable than not"),
         (0.99, [0.9], 0.1, "G1", "G1 still differs far beyond chance"),
         (0.95, [0.9], 0.5, "", "something outside the library is at least as probable as not"),
@@ -191,7 +191,7 @@ def test_a_small_remainder_is_partly_explained() -> None:
             [0.1],
             0.9,
             "",
-            "only 40 % of the gap closes (explained from 90 % on); which of several causes it is remains"
+            "only 40 % of the gap closes (explained from 95 % on); which of several causes it is remains"
             " open: none is more probable than not",
         ),
         (None, [], 0.1, "", "no known effect was accepted as a cause"),

@@ -30,7 +30,7 @@ def test_all_sections_are_printed_in_order() -> None:
     """
     text = text_of(made())
     heads = (
-        "Verdict  partly explained: only 86 % of the gap closes (explained from 90 % on)",
+        "Verdict  partly explained: only 86 % of the gap closes (explained from 95 % on)",
         "Chance   p < 0.0025: none of 400 simulations without a gap differs as much",
         "Unknown  31 % that something outside the library of effects is present",
         "Where it differs: 55 statistics, the worst of a sensor and domain (sd: standard deviations of chance)",

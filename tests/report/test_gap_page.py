@@ -129,7 +129,7 @@ def test_the_sentence_and_the_verdict_come_first(page: Page) -> None:
     start = page.words[""]
     assert made().sentence in start
     assert "Gap between recording and simulation: partly explained" in start
-    because = "Partly explained: only 86 % of the gap closes (explained from 90 % on). Chance alone: p < 0.0025"
+    because = "Partly explained: only 86 % of the gap closes (explained from 95 % on). Chance alone: p < 0.0025"
     assert start.index(because) < start.index(made().sentence)
     assert "14 standard deviations (rms) before, 2.9 after, 1.0 without a gap: 86 % (75 to 94) closed" in start
     assert "probability of 31 %" in start
