@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ import pytest
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.refinement import Factor, factors_of, looks, move_factors, refine, regress
 from imuarray.gap.inference.unit_state import UnitState
-from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.bench import Bench, StatisticValues
+from imuarray.gap.model.replication import Models, ReplicateRequest
 from imuarray.simulate.effects.bias import Bias, CommonMode
 from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap, Glitches, StaleSamples, Stuck
-from imuarray.simulate.effects.response import GSensitivity
+from imuarray.simulate.effects.response import GSensitivity, Scale
 from tests.gap.search_inputs import found_in, standing_of
 from tests.gap.small_bench import LINE
 
@@ -64,6 +66,28 @@ def test_trials_are_ranked_by_their_gain(tone: tuple[Bench, UnitState]) -> None:
     assert right.gain > 10
     assert right.gain > wrong.gain + 10
     assert nothing.gain == pytest.approx(0.0, abs=0.2)  # noise and level are adapted by two draws
+
+
+def test_effects_on_the_response_have_more_looks(
+    tone: tuple[Bench, UnitState], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each replicate draws a response of its own, and two of them may agree by chance."""
+    bench, standing = tone
+    simulated: list[int] = []
+    replicates = Bench.replicates
+
+    def count(
+        self: Bench, requests: Sequence[ReplicateRequest], held_out: bool = True, **others: Models
+    ) -> list[StatisticValues]:
+        simulated.append(len(requests))
+        return replicates(self, requests, held_out=held_out, **others)
+
+    monkeypatch.setattr(Bench, "replicates", count)
+    line, scale = Hypothesis((LINE,), ("amplitude",)), Hypothesis((Scale(0.05),), ("error",))
+    found = looks(bench, standing, [line, scale, line])
+    assert sorted(simulated) == [2 * 2, 4]
+    assert [one.trial.name for one in found] == ["tone", "scale", "tone"]
+    assert found[0].gain == found[2].gain > found[1].gain
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,6 +174,11 @@ _MORE_LOOKS, _WIDER, _MUCH = 4, 1.5, 0.02
 `_WIDER` times wider.
 """
 
+_OF_RESPONSE = frozenset({"scale", "misalignment", "g_sensitivity"})
+"""Effects that add to the response of a part, which each replicate draws and fits within the tolerance. What the fit
+leaves differs from replicate to replicate, even if two agree by chance: `_MORE_LOOKS` replicates.
+"""
+
 _DONE = 0.03
 _ADAPTED, _FITS = 2, 0.5
 """Largest number of adaptations of the noise, and the misfit in nats above the present models' below which they end."""
@@ -196,9 +202,10 @@ def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> li
     """Return each trial with its gain as guessed, without its effect on the noise, which is not adapted yet."""
     models = [standing.changed(trial) for trial in trials]
     fitted = [FittedHypothesis(trial) for trial in trials]
-    for whole in (False, True):
-        places = [at for at, trial in enumerate(trials) if trial.needs_both == whole]
-        replicated = _replicate_each(bench, standing, [models[at] for at in places], whole, LOOKS)
+    counts_of_trials = [_count_of(standing, trial) for trial in trials]
+    for whole, count in product((False, True), sorted(set(counts_of_trials))):
+        places = [at for at, trial in enumerate(trials) if trial.needs_both == whole and counts_of_trials[at] == count]
+        replicated = _replicate_each(bench, standing, [models[at] for at in places], whole, count)
         for at, statistics in zip(places, replicated, strict=True):
             if statistics is not None:
                 gain, counts = _gain(standing, statistics, trials[at]), _counts(standing, statistics)
@@ -208,11 +215,16 @@ def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> li
     return fitted
 
 
+def _count_of(standing: UnitState, trial: Hypothesis) -> int:
+    """Return the number of replicates of a look at the trial, of those that the state has."""
+    return min(_MORE_LOOKS, len(standing.values)) if trial.name in _OF_RESPONSE else LOOKS
+
+
 def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypothesis:
     """Return the trial with its free parameters fitted and the ordinary ones re-adapted; the best of all steps, each as
     simulated.
     """
-    now = _simulate(bench, standing, trial, standing.changed(trial), LOOKS)
+    now = _simulate(bench, standing, trial, standing.changed(trial), _count_of(standing, trial))
     if now is not None and _widens(standing, now.statistics):
         now = _simulate(bench, standing, trial, standing.changed(trial), _MORE_LOOKS)
     if now is None:
