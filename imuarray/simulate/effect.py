@@ -41,6 +41,21 @@ def scalar(default: float, *, suffix: str = "", low: float = -np.inf, high: floa
     return field(default=default, metadata={"suffix": suffix, "allowed": (low, high)})
 
 
+def choice(default: float | str, choices: tuple[float, ...] | tuple[str, ...]) -> Any:
+    """Return a parameter with one of these values."""
+    return field(default=default, metadata={"choices": choices})
+
+
+def several(count: int, *, suffix: str = "", low: float = -np.inf, high: float = np.inf) -> Any:
+    """Return a parameter of `count` finite numbers, by default all zero."""
+    return field(default=(0.0,) * count, metadata={"suffix": suffix, "allowed": (low, high)})
+
+
+def listed(*, suffix: str = "") -> Any:
+    """Return a parameter of any number of numbers, by default none."""
+    return field(default=(), metadata={"suffix": suffix})
+
+
 UNBOUNDED = (-np.inf, np.inf)
 
 FOREVER_S = 1e9
@@ -61,19 +76,33 @@ class Effect:
     spans: tuple[float, ...] = field(default=(), kw_only=True, metadata={"suffix": ""})
 
     def __post_init__(self) -> None:
-        """Expand single numbers to the three axes. ValueError for a value that is not a triple of numbers, for invalid
-        spans, and for values outside the limits of a parameter.
+        """Expand single numbers to the three axes, and make lists tuples of floats. ValueError for a value with another
+        number of numbers than the parameter has, for invalid spans, and for values that the parameter does not allow.
         """
         object.__setattr__(self, "spans", _spans(self.spans))
         for item in fields(self):
-            name, of_axes = item.name, item.metadata.get("per_axis")
-            if of_axes:
-                object.__setattr__(self, name, _triple(getattr(self, name), name))
+            name, value = item.name, getattr(self, item.name)
+            if isinstance(item.default, tuple) and name != "spans":
+                value = _tuple(name, value, item)
+                object.__setattr__(self, name, value)
             allowed = item.metadata.get("allowed", UNBOUNDED)
             if allowed != UNBOUNDED:
-                value = getattr(self, name)
-                for number in (min(value), max(value)) if of_axes else (value,):
+                for number in (min(value), max(value)) if isinstance(value, tuple) else (value,):
                     require(name, number, *allowed)
+            if value not in item.metadata.get("choices", (value,)):
+                raise ValueError(f"{name}: {_choice_text(value, item.metadata['choices'])}")
+
+    def check_events(self, first: str, *others: str) -> None:
+        """Raise ValueError unless these lists, which have one number for each event, have equal lengths and all numbers
+        are finite and not negative.
+        """
+        count = len(getattr(self, first))
+        for name in (first, *others):
+            values = getattr(self, name)
+            if len(values) != count:
+                raise ValueError(f"{name}: {len(values)}; as many as {first}, {count}, are required")
+            for value in values:
+                require(name, value, 0.0, sys.float_info.max)
 
     def each_span(self) -> Iterator[tuple[float, float, float]]:
         """Yield run, beginning and end of each span."""
@@ -124,6 +153,20 @@ def _spans(values: Any) -> tuple[float, ...]:
     return spans
 
 
+def _tuple(name: str, value: Any, item: Field[Any]) -> tuple[float, ...]:
+    """Return a parameter of several numbers as floats; ValueError unless there are as many as it requires."""
+    if item.metadata.get("per_axis"):
+        return _triple(value, name)
+    count = len(item.default) if isinstance(item.default, tuple) else 0
+    return numbers(name, value, count) if count else tuple(float(number) for number in value)
+
+
+def _choice_text(value: float | str, choices: tuple[Any, ...]) -> str:
+    if isinstance(value, str):
+        return f"{value!r}; allowed are {', '.join(choices)}"
+    return f"{value:g}; allowed are {' and '.join(f'{allowed:g}' for allowed in choices)}"
+
+
 def _triple(value: Any, name: str) -> Triple:
     values = np.broadcast_to(np.asarray(value, float), (3,)) if np.size(value) in (1, 3) else np.array([np.nan])
     if np.isnan(values).any():
@@ -142,30 +185,12 @@ Value = float | list[float] | str
 SomeEffect = TypeVar("SomeEffect", bound=Effect)
 
 
-def several(count: int, *, suffix: str = "") -> Any:
-    """Return a parameter of `count` numbers, by default all zero; its effect passes it through `numbers`."""
-    return field(default=(0.0,) * count, metadata={"suffix": suffix})
-
-
-def listed(*, suffix: str = "") -> Any:
-    """Return a parameter of any number of numbers, by default none."""
-    return field(default=(), metadata={"suffix": suffix})
-
-
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     """Return `values` as `count` floats; ValueError unless they are `count` finite numbers."""
     array = np.asarray(values, float)
     if array.shape != (count,) or not np.isfinite(array).all():
         raise ValueError(f"{name}: {values}; {count} finite numbers are required")
     return tuple(array.tolist())
-
-
-def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
-    """Return lists of numbers, one number for each event, as floats; ValueError unless the lists have equal lengths and
-    all numbers are finite and not negative.
-    """
-    (first, first_values), *_ = lists.items()
-    return {name: _of_events(name, values, first, len(first_values)) for name, values in lists.items()}
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
@@ -196,15 +221,6 @@ def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, w
         return kind(**arguments)
     except ValueError as error:
         raise ConfigError(f"{where}: {_respell(str(error), keys)}") from None
-
-
-def _of_events(name: str, values: Any, first: str, count: int) -> tuple[float, ...]:
-    numbers_ = tuple(float(value) for value in values)
-    if len(numbers_) != count:
-        raise ValueError(f"{name}: {len(numbers_)}; as many as {first}, {count}, are required")
-    for value in numbers_:
-        require(name, value, 0.0, sys.float_info.max)
-    return numbers_
 
 
 def _plain(value: Any, item: Field[Any]) -> Value:

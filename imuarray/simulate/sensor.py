@@ -137,7 +137,7 @@ class SimulatedSensor:
             1 + 2 * self._is_polled + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         )
         self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluated)
-        self._stretch: Callable[[int, int], Chunk] = lru_cache(maxsize=4)(self._evaluated_alone)
+        self._stretch: Callable[[int, int], Chunk] = lru_cache(maxsize=4)(self._evaluate)
         self._shared: _SharedSignal | None = None
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
@@ -151,7 +151,7 @@ class SimulatedSensor:
 
         def stretch(begin: int, end: int) -> Chunk:
             key = (owner, "alone", begin, end)
-            return memory.recall(key, lambda: self._evaluated_alone(begin, end), lambda rows: rows.nbytes)
+            return memory.recall(key, lambda: self._evaluate(begin, end), lambda rows: rows.nbytes)
 
         self._chunk, self._stretch = chunk, stretch
 
@@ -189,7 +189,7 @@ class SimulatedSensor:
         if stop > self.rows:
             raise ValueError(f"{self.header.name}: row {stop - 1} of {self.rows}")
         parts = [
-            _cut(self._chunk(chunk, False).codes, first, stop) for chunk in range(first // CHUNK, -(-stop // CHUNK))
+            self._chunk(chunk, False).codes.rows(first, stop) for chunk in range(first // CHUNK, -(-stop // CHUNK))
         ]
         return parts[0] if len(parts) == 1 else _join(parts)
 
@@ -207,7 +207,7 @@ class SimulatedSensor:
         if demand is Demand.FEW and end - begin + self._lookback < CHUNK // 2:
             chunk = self._stretch(begin, end)
         elif demand is not Demand.ANY and _WORTH_IT <= end - begin < CHUNK - self._lookback:
-            chunk = self._evaluated_alone(begin, end)
+            chunk = self._evaluate(begin, end)
         else:
             chunk, begin = self._chunk(number, True), number * CHUNK
         rows: Any = slice(max(start - begin, 0), min(stop - begin, len(chunk.kept)))
@@ -236,11 +236,7 @@ class SimulatedSensor:
         """Return one chunk."""
         return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
 
-    def _evaluated_alone(self, begin: int, end: int) -> Chunk:
-        """Return a part of a chunk."""
-        return self._evaluate(begin, end, True)
-
-    def _evaluate(self, begin: int, end: int, swapped: bool) -> Chunk:
+    def _evaluate(self, begin: int, end: int, swapped: bool = True) -> Chunk:
         """Compute rows begin ... end - 1, with the sensor's own channel swap, or without it if a neighbour requests
         them.
         """
@@ -255,14 +251,14 @@ class SimulatedSensor:
             status = effect.flagged(status, instants, at)
         if not instants.kept.all():
             status[1:][~instants.kept[:-1]] |= LOST_BEFORE
-        return Chunk(instants.stamp_ns[cut], instants.kept[cut], _cut(codes, begin, end), counts[cut], status[cut])
+        return Chunk(instants.stamp_ns[cut], instants.kept[cut], codes.rows(begin, end), counts[cut], status[cut])
 
     def _reaching(self, effect_name: str, row: int) -> Codes:
         """Return the codes of one row at the input of an effect of this sensor."""
         names = [effect.name for effect, _ in self._acting]
         first = max(0, row - self._lookback)
         _, codes = self._chain(first, row + 1, self._acting, until=names.index(effect_name))
-        return _cut(codes, row, row + 1)
+        return codes.rows(row, row + 1)
 
     def _chain(
         self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]], until: int | None = None
@@ -400,20 +396,6 @@ def _turn_to_sensor(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike)
         x, y, z = (vector_box[0] @ orientation).tolist()
         return per_row((x, y, z), np.broadcast_to(np.zeros((), dtype), vector_box.shape))
     return np.asarray(vector_box @ orientation, dtype)
-
-
-def _cut(codes: Codes, first: int, stop: int) -> Codes:
-    """Return the rows first ... stop - 1 of `codes`."""
-    begin = max(first, codes.first)
-    rows = slice(begin - codes.first, stop - codes.first)
-    temperature = codes.temperature_counts
-    return Codes(
-        begin,
-        codes.instant_ns[rows],
-        codes.counts[rows],
-        None if temperature is None else temperature[rows],
-        codes.fresh[rows],
-    )
 
 
 def _join(parts: Sequence[Codes]) -> Codes:

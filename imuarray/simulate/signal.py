@@ -89,6 +89,13 @@ class Codes:
     temperature_counts: Counts | None
     fresh: Booleans
 
+    def rows(self, first: int, stop: int) -> Codes:
+        """Return those of the rows first ... stop - 1 that are here."""
+        begin = max(first, self.first)
+        at = slice(begin - self.first, stop - self.first)
+        degrees = None if self.temperature_counts is None else self.temperature_counts[at]
+        return Codes(begin, self.instant_ns[at], self.counts[at], degrees, self.fresh[at])
+
 
 @dataclass(frozen=True)
 class Place:

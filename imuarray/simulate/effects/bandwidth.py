@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.simulate.effect import Effect, listed, scalar
+from imuarray.simulate.effect import Effect, choice, listed, scalar
 from imuarray.simulate.effects.timing import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Place
 
@@ -61,24 +61,18 @@ class Bandwidth(Effect):
     meaning: ClassVar[str] = "each reading depends on the previous ones"
     cutoff_hz: float = scalar(math.inf, low=1e-2)
     share: float = scalar(0.0, low=0.0, high=1.0)
-    poles: float = scalar(1.0)
+    poles: float = choice(1.0, (1.0, 2.0))
     sampled_hz: float = scalar(math.inf, low=1e-2)
     noise_share: float = scalar(1.0, low=0.0, high=10.0)
-    signal_only: float = scalar(0.0)
-    warped: float = scalar(0.0)
+    signal_only: float = choice(0.0, (0.0, 1.0))
+    warped: float = choice(0.0, (0.0, 1.0))
     correlations: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless `poles` is 1 or 2, switches are 0 or 1, and a noise can have the `correlations`."""
+        """Raise ValueError unless a noise can have the `correlations`."""
         super().__post_init__()
-        object.__setattr__(self, "correlations", tuple(map(float, self.correlations)))
         if self.correlations and not has_correlations(self.correlations):
             raise ValueError(f"correlations: no noise has {self.correlations}")
-        if self.poles not in (1.0, 2.0):
-            raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
-        for name in ("signal_only", "warped"):
-            if getattr(self, name) not in (0.0, 1.0):
-                raise ValueError(f"{name}: {getattr(self, name):g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
         """Return the number of rows after which the influence of earlier rows has decayed to 1e-12."""

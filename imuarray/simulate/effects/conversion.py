@@ -14,7 +14,7 @@ from imuarray.arrays import Booleans, Floats, Indices, Reals
 from imuarray.chips import CHIPS
 from imuarray.log.format import RECONFIGURED, SUSPECT, SensorHeader
 from imuarray.simulate.converters import adxl345_bandwidth_hz, code_span
-from imuarray.simulate.effect import Effect, alongside, listed, per_axis, require, scalar
+from imuarray.simulate.effect import Effect, listed, per_axis, require, scalar
 from imuarray.simulate.signal import Analog, Codes, Counts, Flags, Instants, Place, Triple, per_row
 
 
@@ -129,11 +129,11 @@ class RangeReset(Effect):
     def __post_init__(self) -> None:
         """Raise ValueError for lists of different lengths."""
         super().__post_init__()
-        lists = {name: getattr(self, name) for name in ("runs", "moments_s", "lengths_s", "doubts_s")}
-        lists["blanks_s"] = self.blanks_s or (0.0,) * len(self.runs)
-        whole_runs = not any((self.moments_s, self.lengths_s, self.doubts_s, self.blanks_s))
-        for name, values in alongside(**({"runs": self.runs} if whole_runs else lists)).items():
-            object.__setattr__(self, name, values)
+        if not any((self.moments_s, self.lengths_s, self.doubts_s, self.blanks_s)):  # whole runs
+            self.check_events("runs")
+            return
+        object.__setattr__(self, "blanks_s", self.blanks_s or (0.0,) * len(self.runs))
+        self.check_events("runs", "moments_s", "lengths_s", "doubts_s", "blanks_s")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Add the offset, scale the noise and set the converter. ValueError for a range that the chip does not have."""
@@ -304,14 +304,8 @@ class Saturation(Effect):
 
     name: ClassVar[str] = "saturation"
     meaning: ClassVar[str] = "the signal saturates before the codes do"
-    limit: Triple = per_axis(math.inf, suffix="_{u}")
+    limit: Triple = per_axis(math.inf, suffix="_{u}", low=0.0)
     centre: Triple = per_axis(0.0, suffix="_{u}")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a negative limit."""
-        super().__post_init__()
-        for limit in self.limit:
-            require("limit", limit, 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Clip the sum of signal and noise; rows within the limit are bit by bit the same."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.arrays import Booleans
 from imuarray.simulate.converters import code_span
-from imuarray.simulate.effect import Effect, alongside, listed, scalar
+from imuarray.simulate.effect import Effect, choice, listed, scalar
 from imuarray.simulate.signal import Codes, Counts, Place
 
 _RARE = 1e-12
@@ -109,18 +109,14 @@ class Glitches(Effect):
     meaning: ClassVar[str] = "single readings are corrupted"
     probability: float = scalar(0.0, low=0.0, high=1.0)
     amplitude: float = scalar(0.0, suffix="_{u}", low=0.0, high=1e6)
-    kind: str = field(default="spike")
+    kind: str = choice("spike", GLITCH_KINDS)
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
     jumps: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an unknown kind, or for lists of different lengths."""
+        """Raise ValueError for lists of different lengths."""
         super().__post_init__()
-        if self.kind not in GLITCH_KINDS:
-            raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(GLITCH_KINDS)}")
-        for name in ("runs", "moments_s", "jumps"):
-            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
         if not (len(self.runs) == len(self.moments_s) == len(self.jumps) / 3):
             raise ValueError(
                 f"moments_s: {len(self.moments_s)}; as many runs and three times as many jumps are required"
@@ -202,7 +198,7 @@ class Stuck(Effect):
     onset_s: float = scalar(math.inf, low=0.0)
     duration_s: float = scalar(math.inf, low=0.0)
     every_s: float = scalar(math.inf, low=1e-3)
-    kind: str = field(default="stale")
+    kind: str = choice("stale", STUCK_KINDS)
     runs: tuple[float, ...] = listed()
     moments_s: tuple[float, ...] = listed()
     lengths_s: tuple[float, ...] = listed()
@@ -210,16 +206,11 @@ class Stuck(Effect):
     stuck_axes: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an unknown kind or axis, or for lists of different lengths."""
+        """Raise ValueError for an unknown axis, or for lists of different lengths."""
         super().__post_init__()
-        if self.kind not in STUCK_KINDS:
-            raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(STUCK_KINDS)}")
-        for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
-            object.__setattr__(self, name, values)
-        object.__setattr__(self, "stuck_axes", tuple(float(axis) for axis in self.stuck_axes))
+        self.check_events("runs", "moments_s", "lengths_s")
         if not set(self.stuck_axes) <= {0.0, 1.0, 2.0}:
             raise ValueError(f"stuck_axes: {self.stuck_axes}; allowed are 0, 1 and 2")
-        object.__setattr__(self, "readings", tuple(float(value) for value in self.readings))
         if self.readings and len(self.readings) != 3 * len(self.moments_s):
             raise ValueError(f"readings: {len(self.readings)}; none, or three for each of moments_s, are required")
 
@@ -233,10 +224,12 @@ class Stuck(Effect):
         for begin, end, reading in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:
                 row = math.ceil(begin) if reading else max(math.ceil(begin) - 1, 0)
-                last = _row(moving, row) if row >= first else at.reaching(self.name, row)
+                last = moving.rows(row, row + 1) if row >= first else at.reaching(self.name, row)
                 if reading:
                     counts = np.rint(np.array([reading]) * at.sensor.sensitivity).astype(codes.counts.dtype)
-                    codes, last = _set_row(codes, row, counts), replace(last, counts=counts)
+                    is_row = codes.first + np.arange(len(codes.counts)) == row
+                    codes = replace(codes, counts=np.where(is_row[:, None], counts, codes.counts))
+                    last = replace(last, counts=counts)
                 codes = _held(codes, last, row + 1, end, self.kind == "new")
         return codes if not self.stuck_axes else self._of_axes(moving, codes)
 
@@ -265,18 +258,6 @@ class Stuck(Effect):
             end_s = begin_s + self.duration_s
             yield round(begin_s * at.rows_per_s, 6), round(end_s * at.rows_per_s, 6), ()
             begin_s = end_s + free(self.every_s)
-
-
-def _row(codes: Codes, row: int) -> Codes:
-    at = slice(row - codes.first, row - codes.first + 1)
-    temperature = None if codes.temperature_counts is None else codes.temperature_counts[at]
-    return Codes(row, codes.instant_ns[at], codes.counts[at], temperature, codes.fresh[at])
-
-
-def _set_row(codes: Codes, row: int, counts: Counts) -> Codes:
-    """Return the codes with the counts (1, 3) in that row, if the row is among them."""
-    rows = codes.first + np.arange(len(codes.counts))
-    return replace(codes, counts=np.where((rows == row)[:, None], counts, codes.counts))
 
 
 def _held(codes: Codes, last: Codes, begin: int, end: float, is_new: bool) -> Codes:
@@ -311,13 +292,7 @@ class ChannelSwap(Effect):
     name: ClassVar[str] = "channel_swap"
     meaning: ClassVar[str] = "the sensor delivers the data of another sensor"
     sensor: str = field(default="")
-    kind: str = field(default="data")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for an unknown kind."""
-        super().__post_init__()
-        if self.kind not in SWAP_KINDS:
-            raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(SWAP_KINDS)}")
+    kind: str = choice("data", SWAP_KINDS)
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Return the rows of the other sensor; ValueError if there is no such sensor, naming those of the array."""

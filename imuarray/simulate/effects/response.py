@@ -10,7 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Reals
 from imuarray.axes import AXES
-from imuarray.simulate.effect import Effect, numbers, per_axis, require, several
+from imuarray.simulate.effect import Effect, per_axis, several
 from imuarray.simulate.signal import Analog, BoxStimulus, Place, Triple, per_row
 
 
@@ -99,14 +99,7 @@ class Misalignment(Effect):
 
     name: ClassVar[str] = "misalignment"
     meaning: ClassVar[str] = "the axes of the sensor are misaligned"
-    angles_deg: tuple[float, ...] = several(6)
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless there are six angles below 90 degrees."""
-        super().__post_init__()
-        object.__setattr__(self, "angles_deg", numbers("angles_deg", self.angles_deg, 6))
-        for angle in self.angles_deg:
-            require("angles_deg", angle, -80.0, 80.0)
+    angles_deg: tuple[float, ...] = several(6, low=-80.0, high=80.0)
 
     @property
     def directions(self) -> Reals:
@@ -180,11 +173,6 @@ class GSensitivity(Effect):
     name: ClassVar[str] = "g_sensitivity"
     meaning: ClassVar[str] = "specific force changes the reading of a sensor of another quantity"
     response: tuple[float, ...] = several(9, suffix="_{u}_per_g")
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless there are nine finite numbers."""
-        super().__post_init__()
-        object.__setattr__(self, "response", numbers("response", self.response, 9))
 
     def active_axes(self) -> tuple[bool, ...]:
         """Return (3,) which axes respond to force."""

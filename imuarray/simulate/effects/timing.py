@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Booleans, Integers, Reals
-from imuarray.simulate.effect import Effect, alongside, listed, require, scalar
+from imuarray.simulate.effect import Effect, choice, listed, require, scalar
 from imuarray.simulate.signal import Instants, Place
 from imuarray.simulate.streams import Stream
 
@@ -76,15 +76,13 @@ class OwnClock(Effect):
     meaning: ClassVar[str] = "the chip samples by its own clock and answers a poll with its latest reading"
     rate_error: float = scalar(0.0, low=-0.5, high=0.5)
     phase_deg: float = scalar(0.0)
-    polled: float = scalar(0.0)
+    polled: float = choice(0.0, (0.0, 1.0))
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an infinite phase, or for a `polled` other than 0 and 1."""
+        """Raise ValueError for an infinite phase."""
         super().__post_init__()
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
-        if self.polled not in (0.0, 1.0):
-            raise ValueError(f"polled: {self.polled:g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
         """Return the largest number of rows that repeat one reading, plus one, if the actual rate is below that of the
@@ -218,8 +216,7 @@ class DroppedSamples(Effect):
         """
         super().__post_init__()
         require("probability", self.probability, 0.0, self.burst_rows / (self.burst_rows + 1))
-        for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
-            object.__setattr__(self, name, values)
+        self.check_events("runs", "moments_s", "lengths_s")
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Mark the lost rows as not kept."""
