@@ -7,7 +7,7 @@ of reading and writing each register, and its time. Times are integer nanosecond
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from imuarray.facts.registers import Register
 
@@ -57,13 +57,19 @@ def registers_of(facts: ModuleType, bank: int = 0) -> dict[int, Register]:
 
 class Chip:
     """A page of 256 bytes behind a pointer that increments after each byte; unmapped registers read 0 and store nothing
-    (DEC-01).
+    (DEC-01). `table` has its registers.
     """
 
-    def __init__(self, address: int, facts: ModuleType, element: Element, powered_on_ns: int = 0) -> None:
+    table: ClassVar[ModuleType]
+    who_am_i: ClassVar[Register | None] = None
+    """The register that identifies the chip, of a chip whose content of this register can be chosen."""
+
+    def __init__(self, address: int, element: Element, powered_on_ns: int = 0, *, identity: int | None = None) -> None:
+        """Create the chip; `identity` is the content of `who_am_i` (None: that of the data sheet)."""
         self.address = address
         self.element = element
-        self.registers = registers_of(facts)
+        self.registers = registers_of(self.table)
+        self._identity = identity
         self.page = bytearray(256)
         self.pointer = 0
         self.power_on(powered_on_ns)
@@ -75,6 +81,14 @@ class Chip:
         self.pointer = 0
         for address, register in self.registers.items():
             self.page[address] = register.reset
+        if self.who_am_i is not None and self._identity is not None:
+            self.page[self.who_am_i.address] = self._identity
+
+    def reset(self, at_ns: int) -> None:
+        """Power on again within a transaction: the pointer stays."""
+        pointer = self.pointer
+        self.power_on(at_ns)
+        self.pointer = pointer
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
         """Set the pointer to the first byte; store the others one after the other. Every byte is acknowledged."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import ModuleType
 from typing import ClassVar, NamedTuple
 
 from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
@@ -54,12 +53,9 @@ class SampleGrid:
 
 class SixAxis(Chip):
     """Registers with two elements behind them. It is created with the `elements` of one half or of both, by half;
-    `take_element` adds the other one. The converter of a half without an element has an input of zero. `identity` is
-    the content of WHO_AM_I (None: that of the part).
+    `take_element` adds the other one. The converter of a half without an element has an input of zero.
     """
 
-    table: ClassVar[ModuleType]
-    who_am_i: ClassVar[Register]
     reset_bit: ClassVar[Field]
     reset_ns: ClassVar[int]
 
@@ -80,8 +76,7 @@ class SixAxis(Chip):
         self._oscillator = 1 + rate_error
         self._pulse_ns = round(1e9 / pulse_hz) if pulse_hz else 0
         self._elements = dict(elements)
-        self._identity = self.who_am_i.reset if identity is None else identity
-        super().__init__(address, self.table, next(iter(elements.values())), powered_on_ns)
+        super().__init__(address, next(iter(elements.values())), powered_on_ns, identity=identity)
 
     def own_period_ns(self, period_ns: float) -> int:
         """Return the duration, by the die's oscillator, of a period with this nominal length."""
@@ -99,16 +94,13 @@ class SixAxis(Chip):
     def power_on(self, at_ns: int) -> None:
         """Set every register to its reset value; no reset is in progress."""
         super().power_on(at_ns)
-        self.page[self.who_am_i.address] = self._identity
         self._reset_end_ns = at_ns
 
     def begin_reset(self, address: int, value: int, at_ns: int) -> bool:
         """Power on again if this byte sets the reset bit, which then reads 1 until the reset ends."""
         if address != self.reset_bit.register.address or not value & self.reset_bit.mask:
             return False
-        pointer = self.pointer
-        self.power_on(at_ns)
-        self.pointer = pointer
+        self.reset(at_ns)
         self.page[address] |= self.reset_bit.mask
         self._reset_end_ns = at_ns + self.reset_ns
         return True

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections import deque
 from struct import Struct
-from typing import NamedTuple
+from types import ModuleType
+from typing import ClassVar, NamedTuple
 
 from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from imuarray.facts import adxl345 as facts
@@ -74,9 +75,11 @@ def format_of(data_format: int, rate_code: int) -> Format:
 class Adxl345Chip(Chip):
     """The registers and the 32 + 1 sets of its FIFO."""
 
+    table: ClassVar[ModuleType] = facts
+
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0) -> None:
         self._sets: deque[bytes] = deque(maxlen=MOST_SETS)
-        super().__init__(address, facts, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
         """Set standby without data and every register to its reset value; there is no other reset (ADX-31, ADX-38)."""

@@ -13,6 +13,7 @@ from typing import ClassVar
 from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from firmware_emulator.six_axis import SampleGrid
 from imuarray.facts import ak8963, ak8975
+from imuarray.facts.registers import Register
 
 DOWN, SINGLE, SELF_TEST, FUSE_ROM = 0b0000, 0b0001, 0b1000, 0b1111  # AKM-13, AKM-24
 ADJUSTMENT = (176, 178, 167)
@@ -35,11 +36,8 @@ AK8975_OWN_FIELD = (0.0, 0.0, -1.8)
 
 
 class AkmChip(Chip):
-    """A magnetometer with the registers of `table`, its mode in `control`; `adjustment` is the content of the fuse ROM,
-    `identity` that of WIA.
-    """
+    """A magnetometer with its mode in `control`; `adjustment` is the content of the fuse ROM."""
 
-    table: ClassVar[ModuleType]
     control: ClassVar[int]
     own_field: ClassVar[Triple]
     """Field of the self-test in gauss; it replaces the external field."""
@@ -54,13 +52,11 @@ class AkmChip(Chip):
         identity: int | None = None,
     ) -> None:
         self._adjustment = adjustment
-        self._identity = self.table.WIA.reset if identity is None else identity
-        super().__init__(address, self.table, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns, identity=identity)
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values, powered down."""
         super().power_on(at_ns)
-        self.page[self.table.WIA.address] = self._identity
         self._once_ns = NEVER_NS  # end of the single measurement in progress
 
     def _sync(self, at_ns: int) -> None:
@@ -101,6 +97,7 @@ class Ak8963Chip(AkmChip):
     """The chip; it measures once, or continuously."""
 
     table: ClassVar[ModuleType] = ak8963
+    who_am_i: ClassVar[Register | None] = ak8963.WIA
     control: ClassVar[int] = ak8963.CNTL1.address
     own_field: ClassVar[Triple] = AK8963_OWN_FIELD
 
@@ -148,9 +145,7 @@ class Ak8963Chip(AkmChip):
         self._sync(at_ns)
         if address == ak8963.CNTL2.address:
             if ak8963.SOFT_RESET.of(value):
-                pointer = self.pointer
-                self.power_on(at_ns)
-                self.pointer = pointer
+                self.reset(at_ns)
             return
         super().store(address, value, at_ns)
         if address == self.control:
@@ -165,6 +160,7 @@ class Ak8975Chip(AkmChip):
     """The chip."""
 
     table: ClassVar[ModuleType] = ak8975
+    who_am_i: ClassVar[Register | None] = ak8975.WIA
     control: ClassVar[int] = ak8975.CNTL.address
     own_field: ClassVar[Triple] = AK8975_OWN_FIELD
 

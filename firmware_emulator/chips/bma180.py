@@ -24,14 +24,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from struct import Struct
-from typing import NamedTuple
+from types import ModuleType
+from typing import ClassVar, NamedTuple
 
-from firmware_emulator.chip import Chip, Element, Triple, registers_of
+from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple, registers_of
 from firmware_emulator.chips.high_pass import HighPass
 from imuarray.facts import bma180 as facts
-
-FAR_NS = 1 << 62
-"""A time in the infinite future."""
 
 RANGES = {  # code: g, mg per code (BMA-70 ... BMA-76, the exact column)
     0b000: (1.0, 0.12207),
@@ -137,7 +135,7 @@ class Converter:
         self._period_ns, self._quarter_ns = period, period // 4
         self._ready_after_ns = (period // 2, period // 2 + period // 4, period)
         is_known = settings.range_code in RANGES and settings.bandwidth_code in BANDWIDTHS
-        self._start_ns = max(at_ns, ready_ns) if is_known and not settings.asleep else FAR_NS
+        self._start_ns = max(at_ns, ready_ns) if is_known and not settings.asleep else NEVER_NS
         self._latest_index = self._earlier_index = self._temperature_index = -1
         self._latest = self._earlier = self._held
         self._temperature = self._held_temperature
@@ -335,6 +333,8 @@ class Bma180Chip(Chip):
     of the oscillator, within +/-0.1 (BMA-107).
     """
 
+    table: ClassVar[ModuleType] = facts
+
     # The switches are properties that data sheets do not specify, or settings of an earlier program.
     def __init__(  # noqa: PLR0913
         self,
@@ -358,7 +358,7 @@ class Bma180Chip(Chip):
             delivered[register] = value
         self.eeprom = delivered[IMAGE.start : IMAGE.stop]
         self._converter = Converter(element, trims_of(delivered), rate_error)
-        super().__init__(address, facts, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns)
         if left_over is not None:
             self._leave(left_over, powered_on_ns)
 
@@ -374,7 +374,7 @@ class Bma180Chip(Chip):
         self._begin(at_ns)
 
     def _begin(self, at_ns: int) -> None:
-        self._self_test_end_ns = self._burn_end_ns = FAR_NS
+        self._self_test_end_ns = self._burn_end_ns = NEVER_NS
         self._ready_ns = at_ns + START_UP_NS
         self._converter.power_on(at_ns, settings_of(self.page), self._ready_ns)
         self._download_end_ns = at_ns + self._download_ns
@@ -382,7 +382,7 @@ class Bma180Chip(Chip):
         self._catch_up(at_ns)
 
     def _leave(self, left_over: Mapping[int, int], at_ns: int) -> None:
-        self._download_end_ns, self._ready_ns = FAR_NS, at_ns
+        self._download_end_ns, self._ready_ns = NEVER_NS, at_ns
         for register, value in left_over.items():
             self.page[register] = value
         self.page[_CONTROL] &= ~(facts.UPDATE_IMAGE.mask | facts.SELF_TEST_0.mask)
@@ -397,13 +397,13 @@ class Bma180Chip(Chip):
             if due == self._download_end_ns:
                 self.page[IMAGE.start : IMAGE.stop] = self.eeprom
                 self.page[_CONTROL] &= ~facts.UPDATE_IMAGE.mask
-                self._download_end_ns = FAR_NS
+                self._download_end_ns = NEVER_NS
             if due == self._self_test_end_ns:
                 self.page[_CONTROL] &= ~facts.SELF_TEST_0.mask
-                self._self_test_end_ns = FAR_NS
+                self._self_test_end_ns = NEVER_NS
             if due == self._burn_end_ns:
                 self.page[_STATUS] &= ~facts.EE_WRITE.mask
-                self._burn_end_ns = FAR_NS
+                self._burn_end_ns = NEVER_NS
             self._act(due)
 
     def _act(self, at_ns: int) -> None:
@@ -485,7 +485,7 @@ class Bma180Chip(Chip):
             self._burn(address, at_ns)
         elif address == _RESET:
             self._soft_reset(value, at_ns)
-        elif self._burn_end_ns != FAR_NS:
+        elif self._burn_end_ns != NEVER_NS:
             return  # BMA-17
         elif address == _CONTROL:
             self._control(value, at_ns)
@@ -495,7 +495,7 @@ class Bma180Chip(Chip):
     def _keep(self, address: int, value: int, at_ns: int) -> None:
         if address in IMAGE:
             locked = not self.page[_CONTROL] & facts.EE_W.mask  # BMA-51
-            if locked or (self._early_writes_vanish and self._download_end_ns != FAR_NS):
+            if locked or (self._early_writes_vanish and self._download_end_ns != NEVER_NS):
                 return
             self.page[address] = value
             self._act(at_ns)
@@ -509,13 +509,13 @@ class Bma180Chip(Chip):
         previous = self.page[_CONTROL]
         self.page[_CONTROL] = value & ~(facts.CTRL_REG0.reserved | facts.RESET_INT.mask) & 0xFF
         self.page[_CONTROL] |= previous & facts.UPDATE_IMAGE.mask
-        if value & facts.UPDATE_IMAGE.mask and self._download_end_ns == FAR_NS:
+        if value & facts.UPDATE_IMAGE.mask and self._download_end_ns == NEVER_NS:
             self._download_end_ns = at_ns + self._download_ns
         if previous & facts.SLEEP.mask and not value & facts.SLEEP.mask:
             self._ready_ns = at_ns + WAKE_NS
         if not value & facts.SELF_TEST_0.mask:
-            self._self_test_end_ns = FAR_NS
-        elif self._self_test_end_ns == FAR_NS:
+            self._self_test_end_ns = NEVER_NS
+        elif self._self_test_end_ns == NEVER_NS:
             self._self_test_end_ns = at_ns + SELF_TEST_NS
         self._act(at_ns)
         self._catch_up(at_ns)
@@ -532,7 +532,7 @@ class Bma180Chip(Chip):
         the write.
         """
         self.eeprom_writes += 1
-        if address not in WINDOW or address % 2 or self._burn_end_ns != FAR_NS or self._download_end_ns != FAR_NS:
+        if address not in WINDOW or address % 2 or self._burn_end_ns != NEVER_NS or self._download_end_ns != NEVER_NS:
             return
         first = address - WINDOW.start
         self.eeprom[first : first + 2] = self.page[address - 0x20 : address - 0x1E]

@@ -16,8 +16,10 @@ from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from firmware_emulator.chips.bosch_barometer import FAR_NS, SOFT_RESET, BoschBarometer, nearest
+from firmware_emulator.chip import NEVER_NS
+from firmware_emulator.chips.bosch_barometer import SOFT_RESET, BoschBarometer, nearest
 from imuarray.facts import bmp180 as facts
+from imuarray.facts.registers import Register
 
 START_UP_NS = 10_000_000  # BMP-50
 TEMPERATURE, PRESSURE = 0x0E, 0x14  # the measurement field: BMP-45
@@ -85,7 +87,8 @@ def up_of(words: Bmp180Words, ut: int, oss: int, pascal: float) -> int:
 class Bmp180Chip(BoschBarometer):
     """The chip."""
 
-    facts: ClassVar[ModuleType] = facts
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register | None] = facts.CHIP_ID
     words = Bmp180Words()
     word_bytes: ClassVar[Sequence[int]] = (2,) * 11
     byte_order: ClassVar[Literal["little", "big"]] = "big"
@@ -125,7 +128,7 @@ class Bmp180Chip(BoschBarometer):
         is_known = measurement in (TEMPERATURE, PRESSURE) and facts.CONVERTING.of(value)
         if not is_known:
             self.page[_CONTROL] &= ~facts.CONVERTING.mask
-            self._end_ns = FAR_NS
+            self._end_ns = NEVER_NS
         elif measurement == TEMPERATURE:
             self._end_ns = at_ns + TEMPERATURE_NS
         else:
@@ -133,7 +136,7 @@ class Bmp180Chip(BoschBarometer):
 
     def _finish(self) -> None:
         """Write the result into the shared registers and clear sco (BMP-46)."""
-        at_ns, self._end_ns = self._end_ns, FAR_NS
+        at_ns, self._end_ns = self._end_ns, NEVER_NS
         self.page[_CONTROL] &= ~facts.CONVERTING.mask
         ut = self.ut(at_ns)
         result = ut << 8

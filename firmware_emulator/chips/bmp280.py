@@ -20,6 +20,7 @@ from typing import ClassVar, NamedTuple
 
 from firmware_emulator.chips.bosch_barometer import SOFT_RESET, CyclicBarometer, nearest
 from imuarray.facts import bmp280 as facts
+from imuarray.facts.registers import Register
 
 BITS = 20
 
@@ -82,7 +83,8 @@ _CONTROL, _CONFIG, _DATA = facts.CTRL_MEAS.address, facts.CONFIG.address, facts.
 class Bmp280Chip(CyclicBarometer):
     """The chip."""
 
-    facts: ClassVar[ModuleType] = facts
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register | None] = facts.CHIP_ID
     words = Bmp280Words()
     word_bytes: ClassVar[Sequence[int]] = (2,) * 12
     control = _CONTROL

@@ -20,6 +20,7 @@ from typing import ClassVar, NamedTuple
 
 from firmware_emulator.chips.bosch_barometer import NORMAL, SLEEP, SOFT_RESET, CyclicBarometer, nearest
 from imuarray.facts import bmp388 as facts
+from imuarray.facts.registers import Register
 
 BITS = 24
 
@@ -81,7 +82,8 @@ _POWER, _CONFIG, _COMMAND = facts.PWR_CTRL.address, facts.CONFIG.address, facts.
 class Bmp388Chip(CyclicBarometer):
     """The chip."""
 
-    facts: ClassVar[ModuleType] = facts
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register | None] = facts.CHIP_ID
     words = Bmp388Words()
     word_bytes: ClassVar[Sequence[int]] = WORD_BYTES
     control = _POWER

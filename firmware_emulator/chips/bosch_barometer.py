@@ -5,12 +5,10 @@ from __future__ import annotations
 import random
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from types import ModuleType
 from typing import Any, ClassVar, Literal
 
-from firmware_emulator.chip import Chip, Element
+from firmware_emulator.chip import NEVER_NS, Chip, Element
 
-FAR_NS = 1 << 62
 START_UP_NS = 2_000_000  # BMP-113, BMP-212
 SOFT_RESET = 0xB6  # BMP-12, BMP-104, BMP-204
 SLEEP, FORCED, FORCED_TOO, NORMAL = range(4)  # BMP-107, BMP-207
@@ -20,12 +18,11 @@ FILTERED = 64
 class BoschBarometer(Chip):
     """A barometer with calibration words in its registers; its next conversion ends at `_end_ns`.
 
-    `facts` are the registers of the chip. `words` are the calibration words, by default those of the data sheet's
+    `words` are the calibration words, by default those of the data sheet's
     example; `word_bytes` is the size of each in the registers. Commands in the first `start_up_ns` after power-on or
     reset are lost.
     """
 
-    facts: ClassVar[ModuleType]
     words: Any
     word_bytes: ClassVar[Sequence[int]]
     byte_order: ClassVar[Literal["little", "big"]] = "little"
@@ -42,27 +39,24 @@ class BoschBarometer(Chip):
         identity: int | None = None,
     ) -> None:
         """Create the chip. `calibration` contains the words, by name, that differ from the data sheet's example;
-        `generator` draws the pressure noise (None: no noise; temperature noise is not modelled: BMP-77); `identity` is
-        the content of the identity register (None: that of the data sheet).
+        `generator` draws the pressure noise (None: no noise; temperature noise is not modelled: BMP-77).
         """
-        self._generator, self._identity = generator, identity
+        self._generator = generator
         self._ut_at: tuple[float, int] = (float("nan"), 0)
         self.words = self.words._replace(**(calibration or {}))
-        super().__init__(address, self.facts, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns, identity=identity)
 
     def power_on(self, at_ns: int) -> None:
-        """Set the reset values, this part's identity and calibration words; no conversion is in progress."""
+        """Set the reset values and this part's calibration words; no conversion is in progress."""
         super().power_on(at_ns)
-        identity = self.facts.CHIP_ID
-        self.page[identity.address] = identity.reset if self._identity is None else self._identity
         calibration = b"".join(
             (word & (1 << 8 * count) - 1).to_bytes(count, self.byte_order)
             for word, count in zip(self.words, self.word_bytes, strict=True)
         )
-        first = self.facts.CALIBRATION.address
+        first = self.table.CALIBRATION.address
         self.page[first : first + len(calibration)] = calibration
         self._ready_ns = at_ns + self.start_up_ns
-        self._end_ns = FAR_NS
+        self._end_ns = NEVER_NS
 
     @abstractmethod
     def ut_of(self, degc: float) -> int:
@@ -117,15 +111,15 @@ class CyclicBarometer(BoschBarometer):
 
     def begin(self, mode: int, at_ns: int) -> None:
         """Start a mode; its first measurement begins now."""
-        self._end_ns = FAR_NS if mode == SLEEP else at_ns + self.duration_ns
+        self._end_ns = NEVER_NS if mode == SLEEP else at_ns + self.duration_ns
 
     def sync(self, at_ns: int) -> None:
         """Write every measurement that has ended by `at_ns` into the data registers."""
         if at_ns < self._end_ns:
             return
-        if self.facts.MODE.of(self.page[self.control]) != NORMAL:
-            ended_ns, self._end_ns = self._end_ns, FAR_NS
-            self.page[self.control] &= ~self.facts.MODE.mask & 0xFF
+        if self.table.MODE.of(self.page[self.control]) != NORMAL:
+            ended_ns, self._end_ns = self._end_ns, NEVER_NS
+            self.page[self.control] &= ~self.table.MODE.mask & 0xFF
             self.show(ended_ns)
             return
         period_ns = self.period_ns

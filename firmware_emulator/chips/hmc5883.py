@@ -7,8 +7,10 @@ are read, not after those that are written (HMC-05).
 
 from __future__ import annotations
 
+from functools import partial
 from struct import Struct
-from typing import NamedTuple
+from types import ModuleType
+from typing import ClassVar, NamedTuple
 
 from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from imuarray.facts import hmc5883 as facts
@@ -75,6 +77,8 @@ class Hmc5883Chip(Chip):
     (DEC-30).
     """
 
+    table: ClassVar[ModuleType] = facts
+
     def __init__(
         self, address: int, element: Element, powered_on_ns: int = 0, *, variant: str = "hmc5883", wrap: int = 8
     ) -> None:
@@ -82,7 +86,7 @@ class Hmc5883Chip(Chip):
             raise ValueError(f"variant {variant!r}, wrap {wrap}: allowed are {', '.join(VARIANTS)} and 8, 9")
         self.variant = VARIANTS[variant]
         self.wrap = wrap
-        super().__init__(address, facts, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
         """Start up: the reset value of the mode register requests one measurement when the part is ready (HMC-12,
@@ -208,10 +212,4 @@ class Hmc5883Chip(Chip):
         return self.variant.regulator | locked << 1 | (self._ready and not writing)
 
 
-class Hmc5883lChip(Hmc5883Chip):
-    """The HMC5883L, under the name that configurations use."""
-
-    def __init__(
-        self, address: int, element: Element, powered_on_ns: int = 0, *, variant: str = "hmc5883l", wrap: int = 8
-    ) -> None:
-        super().__init__(address, element, powered_on_ns, variant=variant, wrap=wrap)
+Hmc5883lChip = partial(Hmc5883Chip, variant="hmc5883l")

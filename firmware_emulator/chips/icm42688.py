@@ -69,7 +69,7 @@ class Icm42688Chip(SixAxis):
     """
 
     table: ClassVar[ModuleType] = facts
-    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.SOFT_RESET
     reset_ns: ClassVar[int] = RESET_NS
 

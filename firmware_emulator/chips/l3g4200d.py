@@ -21,9 +21,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from struct import Struct
-from typing import NamedTuple
+from types import ModuleType
+from typing import ClassVar, NamedTuple
 
-from firmware_emulator.chip import Chip, Element
+from firmware_emulator.chip import NEVER_NS, Chip, Element
 from firmware_emulator.chips.high_pass import HighPass
 from imuarray.facts import l3g4200d as facts
 
@@ -190,7 +191,6 @@ class Fifo:
         return (level >= watermark) << 7 | full << 6 | (not level) << 5 | level - full
 
 
-FAR_NS = 1 << 62
 START_UP_NS = 0  # some sources state 300 ms from power-down, but no document that is available: L3G-65
 BOOT_NS = 5_000_000
 SECOND_NS = 1_000_000_000  # OUT_TEMP is refreshed at 1 Hz, L3G-60
@@ -213,6 +213,8 @@ class L3g4200dChip(Chip):
     (DEC-20). rate_error: relative error of the output data rate.
     """
 
+    table: ClassVar[ModuleType] = facts
+
     # The switches are properties that data sheets do not specify, or settings of an earlier program.
     def __init__(  # noqa: PLR0913
         self,
@@ -229,7 +231,7 @@ class L3g4200dChip(Chip):
         self.forbidden_writes = 0
         self._temperature_zero, self._wrap_always = temperature_zero, wrap_always
         self._start_up_ns, self._rate_error = start_up_ns, rate_error
-        super().__init__(address, facts, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns)
         if left_over is not None:
             for register, value in left_over.items():
                 self.page[register] = value
@@ -243,15 +245,15 @@ class L3g4200dChip(Chip):
         self._increment = False
         self._signal, self._fifo = Signal(self.element, self.page), Fifo()
         self._powered, self._running, self._rate, self._ready_ns = False, False, -1, at_ns
-        self._base, self._start_ns, self._period_ns = -1, FAR_NS, SECOND_NS  # conversions are numbered from 0
+        self._base, self._start_ns, self._period_ns = -1, NEVER_NS, SECOND_NS  # conversions are numbered from 0
         self._index, self._codes = -1, (0, 0, 0)  # the latest conversion that was evaluated
         self._axes = ALL_AXES
         self._stopped = [-1, -1, -1]  # latest conversion of an axis that is switched off
         self._read_upto = [-1, -1, -1]
         self._half = NO_HALVES.copy()  # the byte of an axis that has been read alone: 0, 1, or -1 for none
         self._frozen = [(0, -1)] * 3  # code and index shown between the two bytes
-        self._temperature_start_ns, self._second, self._temperature = FAR_NS, -1, 0
-        self._boot_end_ns = FAR_NS
+        self._temperature_start_ns, self._second, self._temperature = NEVER_NS, -1, 0
+        self._boot_end_ns = NEVER_NS
         self._reconfigure(at_ns)
 
     # Conversions ----------------------------------------------------------------------------------------------------
@@ -304,14 +306,14 @@ class L3g4200dChip(Chip):
         waking, starting = powered and not self._powered, running and not self._running
         if powered != self._powered:
             self._ready_ns = at_ns + self._start_up_ns
-            self._temperature_start_ns = self._ready_ns if powered else FAR_NS
+            self._temperature_start_ns = self._ready_ns if powered else NEVER_NS
             self._second = -1
         if (running, rate) != (self._running, self._rate) or waking:
             self._period_ns = round(1e9 / (RATES_HZ[rate] * (1 + self._rate_error)))
             filtered = facts.OUT_SELECT.of(self.page[_CTRL5]) >= 0b10
             periods = 6 if starting and filtered else 1  # L3G-64
             soonest = at_ns if waking else at_ns + periods * self._period_ns
-            self._base, self._start_ns = latest, max(self._ready_ns, soonest) if running else FAR_NS
+            self._base, self._start_ns = latest, max(self._ready_ns, soonest) if running else NEVER_NS
         self._powered, self._running, self._rate = powered, running, rate
 
     def _status(self, latest: int) -> int:

@@ -6,11 +6,13 @@ interrupts, FAST_READ.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from types import ModuleType
+from typing import ClassVar, NamedTuple
 
-from firmware_emulator.chip import Chip, Element
+from firmware_emulator.chip import Chip
 from firmware_emulator.six_axis import SampleGrid, clipped
 from imuarray.facts import lis3mdl as facts
+from imuarray.facts.registers import Register
 
 CONTINUOUS, SINGLE, DOWN, DOWN_TOO = range(4)  # LIS-12
 RATES_HZ = (0.625, 1.25, 2.5, 5.0, 10.0, 20.0, 40.0, 80.0)  # LIS-11
@@ -33,16 +35,14 @@ class _Settings(NamedTuple):
 
 
 class Lis3mdlChip(Chip):
-    """The chip; `identity` is the content of WHO_AM_I, by default that of the part."""
+    """The chip."""
 
-    def __init__(self, address: int, element: Element, powered_on_ns: int = 0, *, identity: int | None = None) -> None:
-        self._identity = facts.WHO_AM_I.reset if identity is None else identity
-        super().__init__(address, facts, element, powered_on_ns)
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values, powered down."""
         super().power_on(at_ns)
-        self.page[facts.WHO_AM_I.address] = self._identity
         self._increment = False
         self._grid = SampleGrid()
         self._settings = _Settings(DOWN, 0.0)

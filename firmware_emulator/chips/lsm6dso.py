@@ -70,7 +70,7 @@ class Lsm6dsoChip(SixAxis):
     _slots: int
 
     table: ClassVar[ModuleType] = facts
-    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.SW_RESET
     reset_ns: ClassVar[int] = RESET_NS
 

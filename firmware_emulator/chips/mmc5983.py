@@ -6,11 +6,14 @@ not. Not modelled: interrupts, the three-wire SPI, magnetisation by strong field
 
 from __future__ import annotations
 
-from firmware_emulator.chip import Chip, Element, Triple
+from types import ModuleType
+from typing import ClassVar
+
+from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
 from firmware_emulator.six_axis import SampleGrid
 from imuarray.facts import mmc5983 as facts
+from imuarray.facts.registers import Register
 
-FAR_NS = 1 << 62
 ZERO, HIGHEST, CODES_PER_GAUSS = 1 << 17, (1 << 18) - 1, 16384.0  # MMC-11
 RESET_NS = 10_000_000  # MMC-15
 BANDWIDTHS_HZ = (100.0, 200.0, 400.0, 800.0)
@@ -26,7 +29,10 @@ _CONTROL2, _CONTROL3 = facts.CONTROL_2.address, facts.CONTROL_3.address
 
 
 class Mmc5983Chip(Chip):
-    """The chip; `bridge` is the offset of its bridges in gauss, `identity` the product ID."""
+    """The chip; `bridge` is the offset of its bridges in gauss."""
+
+    table: ClassVar[ModuleType] = facts
+    who_am_i: ClassVar[Register | None] = facts.PRODUCT_ID
 
     def __init__(
         self,
@@ -38,18 +44,16 @@ class Mmc5983Chip(Chip):
         identity: int | None = None,
     ) -> None:
         self._bridge = bridge
-        self._identity = facts.PRODUCT_ID.reset if identity is None else identity
-        super().__init__(address, facts, element, powered_on_ns)
+        super().__init__(address, element, powered_on_ns, identity=identity)
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values: idle, magnetised as by a SET (DEC-211)."""
         super().power_on(at_ns)
-        self.page[facts.PRODUCT_ID.address] = self._identity
         self.page[_STATUS] = facts.OTP_READ_DONE.mask
         self._control = bytearray(4)
         self._sign = 1.0
         self._grid = SampleGrid()
-        self._field_ns = self._temperature_ns = FAR_NS
+        self._field_ns = self._temperature_ns = NEVER_NS
         self._ready_ns = at_ns + RESET_NS
 
     # Measuring --------------------------------------------------------------------------------------------------------
@@ -58,12 +62,12 @@ class Mmc5983Chip(Chip):
         """Write every measurement that has ended by `at_ns` into the data registers."""
         if at_ns >= self._field_ns:
             self._measure(self._field_ns)
-            self._field_ns = FAR_NS
+            self._field_ns = NEVER_NS
         if at_ns >= self._temperature_ns:
             degc = self.element.temperature(self._temperature_ns)
             self.page[facts.T_OUT.address] = max(0, min(255, round((degc + 75.0) * 255 / 200)))  # MMC-18
             self.page[_STATUS] |= facts.TEMPERATURE_DONE.mask
-            self._temperature_ns = FAR_NS
+            self._temperature_ns = NEVER_NS
         sampled_ns = self._grid.take(at_ns)
         if sampled_ns is not None:
             if facts.AUTO_SET_RESET.of(self._control[0]) and facts.PERIODIC_SET_ON.of(self._control[2]):
@@ -109,9 +113,7 @@ class Mmc5983Chip(Chip):
         if address == _CONTROL0:
             self._command(value, at_ns)
         elif address == _CONTROL1 and facts.SOFT_RESET.of(value):
-            pointer = self.pointer
-            self.power_on(at_ns)
-            self.pointer = pointer
+            self.reset(at_ns)
         elif address == _CONTROL2:
             is_continuous = facts.CONTINUOUS.of(value) and facts.FREQUENCY.of(value)
             self._grid.set(at_ns, 0)

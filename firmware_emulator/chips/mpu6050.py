@@ -10,22 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from struct import Struct
 from types import ModuleType
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Triple
-from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
+from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, DATA, UNFILTERED_PERIOD_NS, MpuFamily
+from firmware_emulator.six_axis import Die
 from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import mpu6050 as facts
 from imuarray.facts.registers import Field, Register
 
-RESET_NS = 100_000_000  # INV-25
-CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-40
-CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)  # INV-41
-RANGES_G = (2.0, 4.0, 8.0, 16.0)
-RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
 ACCEL_FILTERS = (
     *((260.0, 0.0), (184.0, 0.002), (94.0, 0.003), (44.0, 0.0049), (21.0, 0.0085), (10.0, 0.0138), (5.0, 0.019)),
     (260.0, 0.0),
@@ -41,11 +35,8 @@ CLOCK_INPUTS_HZ = {4: 32_000.0, 5: 19_200_000.0}
 """The frequency at CLKIN, by CLKSEL, with which the nominal 1 kHz is exact; with 32.768 kHz it is 1.024 kHz (INV-37).
 """
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
-WORDS = Struct(">7h")
 TRIM_CODE = 17
 """Trim code of every axis by default: the middle of the range of codes (DEC-253)."""
-
-_DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
 class Mpu6050Chip(MpuFamily):
@@ -54,11 +45,11 @@ class Mpu6050Chip(MpuFamily):
     """
 
     table: ClassVar[ModuleType] = facts
-    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
-    reset_ns: ClassVar[int] = RESET_NS
     fifo_bytes: ClassVar[int] = 1024  # INV-27
     default_trim_code: ClassVar[int] = TRIM_CODE
+    accel_push_range: ClassVar[int] = 0b10
 
     def __init__(
         self,
@@ -90,31 +81,24 @@ class Mpu6050Chip(MpuFamily):
             return super().own_period_ns(period_ns)
         return round(period_ns * CLOCK_INPUTS_HZ[source] / self._clock_input_hz) if self._clock_input_hz else 0
 
-    def _convert(self, at_ns: int) -> None:
-        """Write the sample of this instant into the data registers."""
-        page = self.page
-        accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
-        low_pass = facts.DLPF.of(page[facts.CONFIG.address])
-        scale = facts.ACCEL_RANGE.of(accel)
-        force = self.sample(ACCELEROMETER, at_ns, RANGES_G[scale], *ACCEL_FILTERS[low_pass])
-        push = self._accel_push() * CODES_PER_G[scale] / CODES_PER_G[0b10]
-        ax, ay, az = _codes(force, CODES_PER_G[scale], (push, push, push), facts.ACCEL_SELF_TEST.of(accel))
-        scale = facts.GYRO_RANGE.of(gyro)
-        rate = self.sample(GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[low_pass])
-        push = self._gyro_push() * CODES_PER_DPS[scale] / CODES_PER_DPS[0]
-        gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], (push, -push, push), facts.GYRO_SELF_TEST.of(gyro))
-        temperature = clipped(round((self.degc(at_ns) - 35.0) * 340.0 - 521.0))  # INV-42
-        page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
+    def low_passes(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return bandwidth and delay of both filters, which one code sets (INV-12)."""
+        code = facts.DLPF.of(self.page[facts.CONFIG.address])
+        return ACCEL_FILTERS[code], GYRO_FILTERS[code]
 
-    def _accel_push(self) -> float:
+    def temperature_code(self, degc: float) -> int:
+        """Return the code of a temperature (INV-42)."""
+        return round((degc - 35.0) * 340.0 - 521.0)
+
+    def accel_push(self) -> Triple:
         """Return the change by the self-test in codes at 8 g (INV-46)."""
-        return 1392.64 * (0.92 / 0.34) ** ((self._trim_code - 1) / 30) if self._trim_code else 0.0
+        push = 1392.64 * (0.92 / 0.34) ** ((self._trim_code - 1) / 30) if self._trim_code else 0.0
+        return push, push, push
 
-    def _gyro_push(self) -> float:
-        """Return the change by the self-test in codes at 250 dps, which is added to x and z and subtracted from y
-        (INV-47).
-        """
-        return 3275.0 * 1.046 ** (self._trim_code - 1) if self._trim_code else 0.0
+    def gyro_push(self) -> Triple:
+        """Return the change by the self-test in codes at 250 dps, which is subtracted from y (INV-47)."""
+        push = 3275.0 * 1.046 ** (self._trim_code - 1) if self._trim_code else 0.0
+        return push, -push, push
 
     # Reading --------------------------------------------------------------------------------------------------------
 
@@ -124,8 +108,8 @@ class Mpu6050Chip(MpuFamily):
         """
         self.end_reset(at_ns)
         self._sync(at_ns)
-        data = bytes(self.page[_DATA.start : _DATA.stop])
-        first = self.pointer - _DATA.start
+        data = bytes(self.page[DATA.start : DATA.stop])
+        first = self.pointer - DATA.start
         if first >= 0 and first + count <= len(data):
             self.pointer += count
             answer = data[first : first + count]
@@ -144,15 +128,6 @@ class Mpu6050Chip(MpuFamily):
         period_ns = base_ns * (1 + self.page[facts.SMPLRT_DIV.address])
         asleep = facts.SLEEP.of(self.page[facts.PWR_MGMT_1.address])
         self._grid.set(at_ns, 0 if asleep else self.own_period_ns(period_ns))
-
-
-def _codes(sample: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:
-    """Return three codes; bit 2 of `pushed` deflects x, bit 0 z (INV-13, INV-14)."""
-    x, y, z = (
-        clipped(round(value * scale + (change if pushed >> bit & 1 else 0.0)))
-        for value, change, bit in zip(sample, push, (2, 1, 0), strict=True)
-    )
-    return x, y, z
 
 
 _ACCEL_SPAN_DEGC = 45.0  # from 25 degC to the end of the range over which the change is printed

@@ -9,22 +9,16 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from struct import Struct
 from types import ModuleType
 from typing import ClassVar
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, UNFILTERED_PERIOD_NS, MpuFamily
-from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, clipped
+from firmware_emulator.six_axis import Die
 from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import mpu6500 as facts
 from imuarray.facts.registers import Field, Register
 
-RESET_NS = 100_000_000  # INV-71
-CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-77
-CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)
-RANGES_G = (2.0, 4.0, 8.0, 16.0)
-RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
 GYRO_FILTERS = (
     *((250.0, 0.00097), (184.0, 0.0029), (92.0, 0.0039), (41.0, 0.0059), (20.0, 0.0099), (10.0, 0.01785)),
     *((5.0, 0.03348), (3600.0, 0.00017)),
@@ -38,22 +32,19 @@ ACCEL_FILTERS = (
 )
 """The same by A_DLPF_CFG: INV-74, INV-79."""
 UNFILTERED_ACCEL = (1130.0, 0.00075)
-WORDS = Struct(">7h")
 TRIM_CODE = 120
 """Trim code of every axis by default: a deflection of 65 dps and of 0.52 g (DEC-81)."""
-
-_DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
 class Mpu6500Chip(MpuFamily):
     """The registers; `identity` is 0x71 for an MPU-9250."""
 
     table: ClassVar[ModuleType] = facts
-    who_am_i: ClassVar[Register] = facts.WHO_AM_I
+    who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
     reset_bit: ClassVar[Field] = facts.DEVICE_RESET
-    reset_ns: ClassVar[int] = RESET_NS
     fifo_bytes: ClassVar[int] = 512  # INV-98
     default_trim_code: ClassVar[int] = TRIM_CODE
+    accel_push_range: ClassVar[int] = 0
 
     def power_on(self, at_ns: int) -> None:
         """Set every register to its reset value, awake (INV-71)."""
@@ -62,34 +53,25 @@ class Mpu6500Chip(MpuFamily):
             self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self._restart(facts.PWR_MGMT_1.address, at_ns)
 
-    def _convert(self, at_ns: int) -> None:
-        """Write the sample of this instant into the data registers."""
-        page = self.page
-        scale = facts.ACCEL_RANGE.of(page[facts.ACCEL_CONFIG.address])
-        control = page[facts.ACCEL_CONFIG_2.address]
+    def low_passes(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return bandwidth and delay of each filter (INV-73, INV-74)."""
+        control = self.page[facts.ACCEL_CONFIG_2.address]
         unfiltered = facts.ACCEL_UNFILTERED.of(control)
         low_pass = UNFILTERED_ACCEL if unfiltered else ACCEL_FILTERS[facts.ACCEL_DLPF.of(control)]
-        force = self.sample(ACCELEROMETER, at_ns, RANGES_G[scale], *low_pass)
-        pushed = facts.ACCEL_SELF_TEST.of(page[facts.ACCEL_CONFIG.address])
-        ax, ay, az = self._codes(force, CODES_PER_G[scale], CODES_PER_G[0], pushed)
-        scale = facts.GYRO_RANGE.of(page[facts.GYRO_CONFIG.address])
-        rate = self.sample(
-            GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[facts.DLPF.of(page[facts.CONFIG.address])]
-        )
-        pushed = facts.GYRO_SELF_TEST.of(page[facts.GYRO_CONFIG.address])
-        gx, gy, gz = self._codes(rate, CODES_PER_DPS[scale], CODES_PER_DPS[0], pushed)
-        temperature = clipped(round((self.degc(at_ns) - 21.0) * 333.87))  # INV-76
-        page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
+        return low_pass, GYRO_FILTERS[facts.DLPF.of(self.page[facts.CONFIG.address])]
 
-    def _codes(self, sample: Triple, scale: float, finest: float, pushed: int) -> list[int]:
-        """Return three codes; bit 2 of `pushed` deflects x, by the change that was measured at the factory for the
-        smallest range (INV-75, INV-78).
-        """
-        push = 2620.0 * 1.01 ** (self._trim_code - 1) * scale / finest if self._trim_code else 0.0
-        return [
-            clipped(round(value * scale + push * (pushed >> bit & 1)))
-            for value, bit in zip(sample, (2, 1, 0), strict=True)
-        ]
+    def temperature_code(self, degc: float) -> int:
+        """Return the code of a temperature (INV-76)."""
+        return round((degc - 21.0) * 333.87)
+
+    def accel_push(self) -> Triple:
+        """Return the change that was measured at the factory for the smallest range, in codes (INV-78)."""
+        push = 2620.0 * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
+        return push, push, push
+
+    def gyro_push(self) -> Triple:
+        """Return the same change as for the accelerometer."""
+        return self.accel_push()
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Read a burst; all its bytes belong to one instant (INV-75)."""

@@ -1,4 +1,5 @@
-"""Common parts of the chips of the MPU family: one grid of samples, flags, a queue of bytes, the auxiliary bus' bypass.
+"""Common parts of the chips of the MPU family: ranges and codes, one grid of samples, flags, a queue of bytes, the
+auxiliary bus' bypass.
 
 Facts INV-26, INV-27 and INV-98 (queue), INV-97 (bypass). A full queue loses its oldest bytes, one by one, so that it
 may afterwards begin within a record; an empty queue repeats its last byte.
@@ -12,10 +13,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from struct import Struct
+from types import ModuleType
 from typing import Any, ClassVar
 
-from firmware_emulator.chip import Element, Target
-from firmware_emulator.six_axis import SampleGrid, SixAxis
+from firmware_emulator.chip import Element, Target, Triple
+from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, SampleGrid, SixAxis, clipped
 from imuarray.facts import mpu6500 as facts
 
 SLOTS = 4
@@ -96,7 +99,13 @@ def swapped(data: bytes, first_is_alone: int) -> bytes:
     return bytes(turned)
 
 
+CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-40, INV-77
+CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)  # INV-41, INV-77
+RANGES_G = (2.0, 4.0, 8.0, 16.0)
+RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
+RESET_NS = 100_000_000  # INV-25, INV-71
 BASE_PERIOD_NS, UNFILTERED_PERIOD_NS = 1_000_000, 125_000  # INV-11, INV-72
+WORDS = Struct(">7h")
 DATA = range(0x3B, 0x49)  # INV-20, INV-75
 INT_PIN_CFG, BYPASS, MASTER = 0x37, 0x02, 0x20  # INV-97
 FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 0x72, 0x73, 0x74
@@ -112,11 +121,22 @@ delay in samples.
 """
 
 
+def _codes(sample: Triple, scale: float, push: Triple, ratio: float, pushed: int) -> list[int]:
+    """Return three codes; bit 2 of `pushed` deflects x, bit 0 z, by `push` times `ratio` (INV-13, INV-14, INV-75)."""
+    return [
+        clipped(round(value * scale + change * ratio * (pushed >> bit & 1)))
+        for value, change, bit in zip(sample, push, (2, 1, 0), strict=True)
+    ]
+
+
 class MpuFamily(SixAxis):
     """A die with one grid of samples, a queue of `fifo_bytes`, and one `trim_code` of the factory for every axis."""
 
     fifo_bytes: ClassVar[int]
     default_trim_code: ClassVar[int]
+    accel_push_range: ClassVar[int]
+    """Range code at which `accel_push` gives the change of the accelerometer by its self-test."""
+    reset_ns: ClassVar[int] = RESET_NS
     on_bypass: Callable[[], None] | None = None
     """Function that is called when the bypass opens or closes."""
 
@@ -147,9 +167,37 @@ class MpuFamily(SixAxis):
         self._grid = SampleGrid(period_ns=BASE_PERIOD_NS)
         self._queued = -1
 
+    def low_passes(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return bandwidth (Hz) and delay (s) of the accelerometer's and of the gyroscope's filter."""
+        raise NotImplementedError
+
+    def temperature_code(self, degc: float) -> int:
+        """Return the code of a temperature."""
+        raise NotImplementedError
+
+    def accel_push(self) -> Triple:
+        """Return the change of the accelerometer by the self-test, in codes."""
+        raise NotImplementedError
+
+    def gyro_push(self) -> Triple:
+        """Return the change of the gyroscope by the self-test, in codes at the smallest range."""
+        raise NotImplementedError
+
     def _convert(self, at_ns: int) -> None:
         """Write the sample of this instant into the data registers."""
-        raise NotImplementedError
+        table: ModuleType = self.table
+        accel, gyro = self.page[table.ACCEL_CONFIG.address], self.page[table.GYRO_CONFIG.address]
+        accel_filter, gyro_filter = self.low_passes()
+        scale = table.ACCEL_RANGE.of(accel)
+        force = self.sample(ACCELEROMETER, at_ns, RANGES_G[scale], *accel_filter)
+        ratio = CODES_PER_G[scale] / CODES_PER_G[self.accel_push_range]
+        ax, ay, az = _codes(force, CODES_PER_G[scale], self.accel_push(), ratio, table.ACCEL_SELF_TEST.of(accel))
+        scale = table.GYRO_RANGE.of(gyro)
+        rate = self.sample(GYROSCOPE, at_ns, RANGES_DPS[scale], *gyro_filter)
+        ratio = CODES_PER_DPS[scale] / CODES_PER_DPS[0]
+        gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], self.gyro_push(), ratio, table.GYRO_SELF_TEST.of(gyro))
+        temperature = clipped(self.temperature_code(self.degc(at_ns)))
+        self.page[DATA.start : DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
 
     def _sync(self, at_ns: int) -> None:
         """Store the samples up to `at_ns` in the queue, and the latest one in the data registers."""
