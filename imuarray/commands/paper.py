@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,8 +89,6 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
 
 def _gap(output: Path | None, as_json: bool, force: bool) -> None:
     """Print the statistics of the paper's tables that the data sheets do not predict."""
-    import json
-
     from imuarray.studies.paper import findings
 
     if output:
@@ -108,8 +107,6 @@ def _gap(output: Path | None, as_json: bool, force: bool) -> None:
 
 def _write_replica(folder: Path, replica: Replica, observed: ExperimentData) -> None:
     """Write the numbers, and the page as far as optional packages allow."""
-    import json
-
     from imuarray.errors import MissingExtraError
     from imuarray.studies.paper.page import write_paper_page
     from imuarray.studies.paper.results import can_draw

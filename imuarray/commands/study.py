@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,16 +130,14 @@ def _run_numbers(options: StudyOptions) -> None:
 
 def _write(folder: Path, result: Study) -> None:
     """Write the numbers, and figures and the page as far as optional packages allow."""
-    import json
-
     from imuarray.atomic import write_text
     from imuarray.errors import MissingExtraError
-    from imuarray.studies.fusion_gain.page import drawings_of, heated, write_study_page
+    from imuarray.studies.fusion_gain.page import drawings_of, simulate_heating, write_study_page
 
     text = json.dumps(result.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     write_text(folder / "study.json", text, force=True)
     try:
-        warm = heated(result.seeds[0], result.seconds) if result.of(experiment="heating") else None
+        warm = simulate_heating(result.seeds[0], result.seconds) if result.of(experiment="heating") else None
         drawings = drawings_of(result, warm)
         for name, drawing in drawings.items():
             drawing.savefig(folder / name, dpi=150, metadata={"Software": None})

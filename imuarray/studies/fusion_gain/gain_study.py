@@ -98,7 +98,7 @@ TRUE = "true"
 RANGES: Mapping[str, Mapping[float, float]] = {name: spec.sensitivity for name, spec in CHIPS.items()}
 
 
-def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: Collection[str]) -> Simulation:
+def simulate(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: Collection[str]) -> Simulation:
     """Return the array with the units of the model `martin2013`, polled `RATE_HZ` times a second."""
     model = load_model(configs() / "models" / "martin2013.toml")
     plan = plan_of(array, RATE_HZ, motion.seconds)
@@ -106,7 +106,7 @@ def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without:
 
 
 @lru_cache(maxsize=4)
-def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
+def calibrate_units(array_name: str, seed: int) -> Mapping[str, Calibration]:
     """Return the calibrations by name: "no slopes", biases and responses from the six faces with noise and turn-on;
     "measured", the same with slopes from a heating log. The result is cached: all experiments with one seed have the
     same units.
@@ -117,7 +117,7 @@ def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
         def recorded(experiment: str, seconds: float, boot: int) -> Log:
             motion = MOTIONS[experiment](ExperimentOptions(seconds=seconds, run=max(boot, 1)))
             path = Path(folder) / f"calibrating_{experiment}_{boot}.h5"
-            write_log(simulated(array, motion, seed, _FIRST_BOOT + boot, FAULTS), path)
+            write_log(simulate(array, motion, seed, _FIRST_BOOT + boot, FAULTS), path)
             return stack.enter_context(open_log(path))
 
         tumble = recorded("tumble", TUMBLE_S, 0)
@@ -194,7 +194,7 @@ def run(name: str, seed: int, seconds: float | None = None) -> list[RunErrors]:
         for array_name, make in ARRAYS.items():
             array = make()
             (place := Path(folder) / array_name).mkdir()
-            calibrations = measured(array_name, seed)
+            calibrations = calibrate_units(array_name, seed)
             first = _BOOTS_APART * list(EXPERIMENTS).index(name)
             for boot in range(first, first + EXPERIMENTS[name].boots):
                 rows += _of_boot(name, (seed, boot), seconds, array, calibrations, place)
@@ -217,7 +217,7 @@ def _of_boot(
     sets = {chosen: names for chosen, (whose, names) in SETS.items() if whose == array.name}
     kinds = ((FAULTS, "all.h5"), (OUTSIDE, "law.h5"))
     for without, file in kinds if experiment.is_bounded else kinds[:1]:
-        simulation = simulated(array, motion, *replicate, without)
+        simulation = simulate(array, motion, *replicate, without)
         write_log(simulation, folder / file, force=True)
         with open_log(folder / file) as log:
             ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
@@ -464,14 +464,14 @@ def _lines(study: Study) -> Iterator[str]:
         yield from _coasting_lines([row for row in rows if not row.quantity])
 
 
-def changed(row: GainRow) -> bool:
+def differs(row: GainRow) -> bool:
     """Return whether a technique changes the result of the average."""
     return abs(row.over_mean.ratio - 1) > _NEGLIGIBLE
 
 
 def is_shown(row: GainRow) -> bool:
     """Return whether a row is of the average or of a technique that changes its result."""
-    return row.technique == AVERAGE or changed(row)
+    return row.technique == AVERAGE or differs(row)
 
 
 def _vector_line(row: GainRow, drift: GainRow) -> str:
@@ -490,7 +490,7 @@ def _vector_line(row: GainRow, drift: GainRow) -> str:
 def _coasting_lines(rows: Sequence[GainRow]) -> Iterator[str]:
     for row in [row for row in rows if row.measure == "heading"]:
         velocity = next(r for r in rows if r.technique == row.technique and r.measure == "velocity")
-        if is_shown(row) or changed(velocity):
+        if is_shown(row) or differs(velocity):
             yield (
                 f"  {row.technique:15} after 60 s: heading {row.value:.3f} deg, {interval_text(row.over_mean)};"
                 f" velocity {velocity.value:.3f} m/s, {interval_text(velocity.over_mean)}"

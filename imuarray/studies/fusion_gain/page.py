@@ -36,11 +36,11 @@ from imuarray.studies.fusion_gain.gain_study import (
     WORDS,
     GainRow,
     Study,
-    changed,
+    calibrate_units,
+    differs,
     interval_text,
     is_shown,
-    measured,
-    simulated,
+    simulate,
 )
 from imuarray.units import INERTIAL, READABLE_SI
 
@@ -65,7 +65,7 @@ class HeatingErrors(NamedTuple):
     temperature: tuple[Floats, Floats]
 
 
-def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
+def simulate_heating(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
     """Return one heating of the paper's array, fused with a calibration without slopes; techniques with the result of
     the average are omitted.
     """
@@ -74,10 +74,10 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
     results: dict[str, Floats] = {}
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         path = Path(folder) / "heating.h5"
-        write_log(simulated(ARRAYS[ARRAY](), motion, seed, 0, FAULTS), path)
+        write_log(simulate(ARRAYS[ARRAY](), motion, seed, 0, FAULTS), path)
         with open_log(path) as log:
             ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
-            calibration, _ = start_up_states(log, measured(ARRAY, seed)[NO_SLOPES], ranges)
+            calibration, _ = start_up_states(log, calibrate_units(ARRAY, seed)[NO_SLOPES], ranges)
             for technique in technique_names():
                 time, errors = errors_of(log, fuse(log, calibration, technique))["angular_rate"]
                 means = ten_second_means(time, errors)
@@ -200,10 +200,10 @@ def heating_figure(
 
 def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     """Return the figures that have rows, by file name; MissingExtraError without matplotlib."""
-    vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
+    vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if differs(row)]
     bounded = study.of(measure="rms", box_axis="XYZ", calibration="true")
     bounded = [row for row in bounded if row.technique != SMOOTHED and is_shown(row)]
-    ends = [row for row in study.of(calibration="measured", quantity="") if changed(row)]
+    ends = [row for row in study.of(calibration="measured", quantity="") if differs(row)]
     panels = {
         "ratios.png": (_by_sensors(vectors), "over_mean"),
         "bound.png": (_by_sensors(bounded), "over_bound"),

@@ -19,6 +19,7 @@ from typing import NamedTuple
 from imuarray.studies.paper.systematic import (
     READINGS,
     as_text,
+    count_reproductions,
     determinant,
     main_axis,
     measured_axes,
@@ -27,7 +28,6 @@ from imuarray.studies.paper.systematic import (
     pairs,
     printed_axes,
     printed_azimuth_deg,
-    reproduced,
     response_of,
     slopes,
     table4,
@@ -55,7 +55,7 @@ from imuarray.studies.paper.variation import (
     bma180_blend,
     boot_faults,
     impossible_deviations,
-    judged,
+    number_row,
     plane_ratio,
     readings,
     table10_rates,
@@ -401,8 +401,8 @@ def _azimuth() -> Statement:
     channel = "ADXL1 x"
     response = response_of(channel)
     true = degrees(atan2(float(response[1]), float(response[0])))
-    as_printed = reproduced(quotient_mended=False, sum_mended=True)
-    mended = reproduced(quotient_mended=True, sum_mended=True)
+    as_printed = count_reproductions(quotient_mended=False, sum_mended=True)
+    mended = count_reproductions(quotient_mended=True, sum_mended=True)
     total = len(table(3))
     return Statement(
         "Appendix B: azimuth = arctan(f_x / f_y) is 0 along X and 90 degrees along Y",
@@ -416,8 +416,8 @@ def _azimuth() -> Statement:
 
 def _six_term_sum() -> Statement:
     total = len(table(3))
-    as_printed = reproduced(quotient_mended=True, sum_mended=False)
-    mended = reproduced(quotient_mended=True, sum_mended=True)
+    as_printed = count_reproductions(quotient_mended=True, sum_mended=False)
+    mended = count_reproductions(quotient_mended=True, sum_mended=True)
     return Statement(
         "Appendix B: the average of six terms is the scale factor",
         f"even with the azimuth mended the printed sum gives {as_printed} of {total} scale factors "
@@ -567,7 +567,7 @@ def stated() -> tuple[RecomputedRow, ...]:
     for figure in (*_section_4_and_5_2(), *_section_5_2_4(), *_section_5_2_5(), *_section_6(), *_appendix_a()):
         row = {"value": figure.printed}
         cell = numeric_cell(row, "value", figure.formula, figure.inputs)
-        rows.append(judged(figure.place, figure.what, row, cell, figure.source))
+        rows.append(number_row(figure.place, figure.what, row, cell, figure.source))
     return tuple(rows)
 
 

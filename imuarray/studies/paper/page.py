@@ -303,7 +303,7 @@ def table_sections(
     further = further_words(result)
     for number, (title, words) in TABLE_WORDS.items():
         name = f"Table {number}"
-        lines = compared(name, replica, recomputed)
+        lines = compare_numbers(name, replica, recomputed)
         parts: list[Table | Figure] = [*_figures(number, observed)] if observed else []
         parts.append(_table(lines))
         if number == 8:
@@ -314,7 +314,7 @@ def table_sections(
 
 def _fold_of(lines: Sequence[PrintedNumber], drawings: int = 0) -> str:
     """Return the line that is shown for a folded table: the number of its entries, and how many of them agree."""
-    count, _, two, _, cells, equal, near, _ = counted(lines)
+    count, _, two, _, cells, equal, near, _ = count_agreement(lines)
     words = [f"{len(lines)} numbers"]
     words += [f"{drawings} figure{'s' if drawings > 1 else ''}"] if drawings else []
     words += [f"{two} of {count} simulated agree within two uncertainties"] if count != NOTHING else []
@@ -325,7 +325,7 @@ def _fold_of(lines: Sequence[PrintedNumber], drawings: int = 0) -> str:
 def _table(lines: Sequence[PrintedNumber], caption: str = "") -> Table:
     rows = [_row(line) for line in lines]
     columns = [i for i in range(len(HEADING)) if any(row[i] != NOTHING for row in rows)]
-    count, item, two, three, cells, equal, near, _ = counted(lines)
+    count, item, two, three, cells, equal, near, _ = count_agreement(lines)
     caption += f"{count} simulated, within 1, 2, 3 uncertainties: {item}, {two}, {three}. " if count != NOTHING else ""
     caption += f"{cells} recomputed: {equal} equal, {near} more within rounding." if cells != NOTHING else ""
     return Table([HEADING[i] for i in columns], [[row[i] for i in columns] for row in rows], caption, (1,))
@@ -382,13 +382,13 @@ def _pair_row(pair: AxisPair, slopes: dict[str, float]) -> list[str]:
     return [f"{first}, {second}", relation, plain(float(pair.fused_slope)), f"{float(pair.reduction):.1f}", *simulated]
 
 
-def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[PrintedNumber]:
+def compare_numbers(name: str, replica: Replica, recomputed: Recomputed) -> list[PrintedNumber]:
     """Return the comparisons of a table, a figure or the appendix."""
     twins = replica.of(name)
     return lines_of(name, recomputed, twins) if name.startswith("Table") else [line_of(twin) for twin in twins]
 
 
-def counted(lines: Sequence[PrintedNumber]) -> list[str]:
+def count_agreement(lines: Sequence[PrintedNumber]) -> list[str]:
     """Return the numbers of statistics that were simulated, that are within 1, 2 and 3 uncertainties, that were
     recomputed, and that are equal, near or neither.
     """
@@ -408,7 +408,7 @@ def others(replica: Replica) -> list[str]:
 
 def elsewhere_section(replica: Replica, recomputed: Recomputed) -> Section:
     """Return the section on the figures and the parts of the appendix."""
-    lines = [compared(name, replica, recomputed) for name in others(replica)]
+    lines = [compare_numbers(name, replica, recomputed) for name in others(replica)]
     parts = [_table(own, f"{name}: ") for name, own in zip(others(replica), lines, strict=True)]
     return Section(
         "What figures and appendix say of the noise",
@@ -525,7 +525,7 @@ def _recomputed_words(result: dict[str, Any]) -> str:
 
 def _overview(replica: Replica, recomputed: Recomputed) -> Section:
     names = (*(f"Table {number}" for number in TABLE_WORDS), *others(replica))
-    rows = [[name, *counted(compared(name, replica, recomputed))] for name in names]
+    rows = [[name, *count_agreement(compare_numbers(name, replica, recomputed))] for name in names]
     heading = ["", "simulated", "within 1", "2", "3", "recomputed", "equal", "within rounding", "neither"]
     caption = "How many numbers were compared, and how many agree; 1, 2, 3 are uncertainties."
     return Section("All tables at a glance", f"The numbers are those of {SOURCE}.", [Table(heading, rows, caption)])
@@ -555,7 +555,7 @@ def _stated(recomputed: Recomputed) -> Section:
 
 
 def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
-    lines = [line for name in replica.tables for line in compared(name, replica, recomputed)]
+    lines = [line for name in replica.tables for line in compare_numbers(name, replica, recomputed)]
     rows = [
         [line.channel, line.twin.table, *line.texts()[1:3], *line.texts()[4:], line.twin.origin]
         for line in lines

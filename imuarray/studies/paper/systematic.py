@@ -277,7 +277,7 @@ def scale_factor(readings: Sequence[Decimal], *, quotient_mended: bool, sum_mend
     return (x_terms + y_terms + z_terms) / 6
 
 
-def reproduced(*, quotient_mended: bool, sum_mended: bool) -> int:
+def count_reproductions(*, quotient_mended: bool, sum_mended: bool) -> int:
     """Return the number of Table 3's scale factors that this form reproduces to one unit of the last digit."""
     count = 0
     for row in table(3):

@@ -195,7 +195,7 @@ def half_unit(value: Decimal) -> Decimal:
     return last_unit(value) / 2
 
 
-def rounded_like(value: Decimal, printed: Decimal) -> Decimal:
+def round_like(value: Decimal, printed: Decimal) -> Decimal:
     """Return `value` with the decimals of `printed`; a tie is rounded to `printed` if that is one of the two. No
     negative zero.
     """
@@ -217,7 +217,7 @@ def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decim
     """
     printed, value = Decimal(row[column]), formula(inputs)
     is_within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
-    rounded = rounded_like(value, printed)
+    rounded = round_like(value, printed)
     if rounded != printed:
         rounded = value.quantize(last_unit(printed) / 100) + 0
     return Cell(column, float(rounded), float(printed), is_within)

@@ -541,7 +541,7 @@ def _common(printed: Iterable[tuple[Decimal, Decimal]]) -> tuple[Decimal, Decima
     return max(least for least, _ in ends), min(most for _, most in ends)
 
 
-def judged(place: str, channel: str, printed: Row, cell: Cell, source: str) -> RecomputedRow:
+def number_row(place: str, channel: str, printed: Row, cell: Cell, source: str) -> RecomputedRow:
     """Return one recomputed number as a row: its place, the cell, the difference, both verdicts, its derivation."""
     row = {"table": place, "channel": channel, cell.column: printed[cell.column]}
     extra = {
@@ -560,7 +560,7 @@ def derived() -> tuple[RecomputedRow, ...]:
         source = next(r for r in table(9) if (r["output"], r["range"]) == (row["output"], row["range"]))
         for column in ("mean_lsb", "std_lsb"):
             cell = numeric_cell(row, column, lambda values: values[0], [number_in(source, column)])
-            rows.append(judged("Table 2", f"{row['output']} {row['range']}", row, cell, f"Table 9, {column}"))
+            rows.append(number_row("Table 2", f"{row['output']} {row['range']}", row, cell, f"Table 9, {column}"))
     for reading in readings()[:2]:
         for row in table9_rows(reading.log):
             rows.append(_standard_error(reading, row, "sem_lsb", "std_lsb", f"{row['output']} {reading.log}"))
@@ -572,4 +572,4 @@ def derived() -> tuple[RecomputedRow, ...]:
 
 def _standard_error(readings: ReadingCount, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
     cell = numeric_cell(row, column, lambda values: values[0] / readings.middle.sqrt(), [number_in(row, deviation)])
-    return judged(f"Table {readings.table}", channel, row, cell, f"{deviation} / sqrt({round(readings.middle)})")
+    return number_row(f"Table {readings.table}", channel, row, cell, f"{deviation} / sqrt({round(readings.middle)})")

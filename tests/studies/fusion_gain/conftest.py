@@ -6,7 +6,7 @@ import pytest
 
 from imuarray.studies.fusion_gain import gain_study
 from imuarray.studies.fusion_gain.gain_study import Study, study
-from imuarray.studies.fusion_gain.page import HeatingErrors, heated
+from imuarray.studies.fusion_gain.page import HeatingErrors, simulate_heating
 
 
 @pytest.fixture(scope="session")
@@ -16,7 +16,7 @@ def short_and_warm() -> tuple[Study, HeatingErrors]:
         for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
             patch.setattr(gain_study, name, value)
         gain_study.measured.cache_clear()
-        result = study(("static",), 1, seconds=12.0), heated(1, 100.0)
+        result = study(("static",), 1, seconds=12.0), simulate_heating(1, 100.0)
     gain_study.measured.cache_clear()
     return result
 

@@ -29,9 +29,9 @@ from imuarray.studies.fusion_gain.gain_study import (
     OPTIMAL_CAUSAL,
     GainRow,
     Study,
+    calibrate_units,
     martin2013,
-    measured,
-    simulated,
+    simulate,
     study,
 )
 
@@ -90,9 +90,9 @@ def test_opposed_gyroscopes_have_smaller_thermal_slopes(tmp_path: Path) -> None:
     """
     path = tmp_path / "heating.h5"
     array = martin2013().only(("Gyro1", "Gyro2", "Gyro3", "BMP180"))
-    write_log(simulated(array, MOTIONS["heating"](ExperimentOptions(seconds=660.0)), 1, 200, FAULTS), path)
+    write_log(simulate(array, MOTIONS["heating"](ExperimentOptions(seconds=660.0)), 1, 200, FAULTS), path)
     with open_log(path) as log:
-        calibration, _ = start_up_states(log, measured("martin2013", 1)[NO_SLOPES])
+        calibration, _ = start_up_states(log, calibrate_units("martin2013", 1)[NO_SLOPES])
         mean, opposed = (_drifts(log, calibration, technique)[0] for technique in ("mean", "opposed"))
     x, y, z = np.abs(opposed / mean)
     assert y <= 0.1 and max(x, z) <= 1.01
@@ -111,8 +111,8 @@ def test_opposed_gyroscopes_drift_less_while_heated(tmp_path: Path) -> None:
     squares = np.zeros((2, 3))
     for seed in (1, 2):
         path = tmp_path / f"heating{seed}.h5"
-        write_log(simulated(array, MOTIONS["heating"](ExperimentOptions()), seed, 200, FAULTS), path)
-        known = measured("martin2013", seed)[NO_SLOPES]
+        write_log(simulate(array, MOTIONS["heating"](ExperimentOptions()), seed, 200, FAULTS), path)
+        known = calibrate_units("martin2013", seed)[NO_SLOPES]
         techniques = ("mean", "opposed", OPTIMAL) if seed == 1 else ("mean", "opposed")
         with open_log(path) as log:
             calibration, _ = start_up_states(log, known)

@@ -14,7 +14,7 @@ from imuarray.simulate import EFFECTS, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain.cramer_rao import OUTSIDE, ErrorLaw, law_of, true_calibration
-from imuarray.studies.fusion_gain.gain_study import martin2013, perpendicular, simulated
+from imuarray.studies.fusion_gain.gain_study import martin2013, perpendicular, simulate
 from tests.selection import some
 
 G = 9.80665
@@ -24,7 +24,7 @@ def errors_along_axes(
     folder: Path, experiment: str, seconds: float, without: tuple[str, ...], quantity: str, seed: int = 5
 ) -> tuple[Frames, np.ndarray, ErrorLaw]:
     """Calibrated readings minus the truth along each axis (n, m) in complete frames, and the law."""
-    simulation = simulated(martin2013(), MOTIONS[experiment](ExperimentOptions(seconds=seconds)), seed, 0, without)
+    simulation = simulate(martin2013(), MOTIONS[experiment](ExperimentOptions(seconds=seconds)), seed, 0, without)
     write_log(simulation, folder / "run.h5")
     effects = {name: sensor.effects for name, sensor in simulation.sensors.items()}
     headers = [sensor.header for sensor in simulation.sensors.values() if sensor.header.quantity == quantity]

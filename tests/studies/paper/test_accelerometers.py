@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.studies.paper.systematic import READINGS, reproduced, response_of, table3
+from imuarray.studies.paper.systematic import READINGS, count_reproductions, response_of, table3
 from imuarray.studies.paper.tables import numbers_in, row_of, tally
 
 # The scale factor and the three drifts whose last digit does not follow from Table 10's rounded readings.
@@ -67,4 +67,4 @@ def test_response_is_the_least_squares_fit_to_the_six_faces(channel: str) -> Non
     [(False, False, 0), (False, True, 0), (True, False, 4), (True, True, 18)],
 )
 def test_the_form_of_appendix_b_used_for_table_3(quotient_mended: bool, sum_mended: bool, count: int) -> None:
-    assert reproduced(quotient_mended=quotient_mended, sum_mended=sum_mended) == count
+    assert count_reproductions(quotient_mended=quotient_mended, sum_mended=sum_mended) == count

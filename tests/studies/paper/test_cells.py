@@ -15,7 +15,7 @@ from imuarray.studies.paper.tables import (
     numeric_cell,
     plain,
     reach,
-    rounded_like,
+    round_like,
     tally,
     text_cell,
 )
@@ -46,13 +46,13 @@ def test_a_cell_matches_within_half_a_unit_of_the_last_digit(printed: str, half:
     ],
 )
 def test_rounding_to_the_printed_digits(value: str, printed: str, rounded: str) -> None:
-    assert str(rounded_like(Decimal(value), Decimal(printed))) == rounded
+    assert str(round_like(Decimal(value), Decimal(printed))) == rounded
 
 
 @given(value=numbers, printed=numbers, digits=places)
 def test_rounding_moves_by_at_most_half_a_unit(value: Decimal, printed: Decimal, digits: int) -> None:
     shown = to_places(printed, digits)
-    rounded = rounded_like(value, shown)
+    rounded = round_like(value, shown)
     assert abs(rounded - value) <= half_unit(shown)
     assert rounded.as_tuple().exponent == shown.as_tuple().exponent
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.log.writer import Block
-from imuarray.studies.paper.replica.curves import SEGMENT, correlogram, histogram, profile, rate_hz, smoothed, spectrum
+from imuarray.studies.paper.figures import SEGMENT, correlogram, histogram, profile, rate_hz, smoothed, spectrum
 from imuarray.studies.paper.replica.simulation import Series, StoredSensor
 
 RATE = 50.0

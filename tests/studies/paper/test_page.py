@@ -18,11 +18,16 @@ from imuarray.errors import MissingExtraError, OutputExistsError
 from imuarray.studies.paper import page as paper_page
 from imuarray.studies.paper import recompute
 from imuarray.studies.paper import results as paper_files
-from imuarray.studies.paper.figures import accelerometer_figure, gyro_memory_figure, opposed_figure, temperature_figure
+from imuarray.studies.paper.figures import (
+    accelerometer_figure,
+    gyro_memory_figure,
+    opposed,
+    opposed_figure,
+    temperature_figure,
+)
 from imuarray.studies.paper.page import NO_FIGURES, PrintedNumber, line_of, recomputed_text, write_paper_page
 from imuarray.studies.paper.replica import simulation
 from imuarray.studies.paper.replica.comparison import compare
-from imuarray.studies.paper.replica.curves import opposed
 from imuarray.studies.paper.replica.simulation import ExperimentData, observe
 from imuarray.studies.paper.replica.statistic import Replica, Statistic
 from imuarray.studies.paper.tables import Cell

@@ -21,7 +21,7 @@ from imuarray.studies.paper.replica.statistic import (
     RANGE_OVER_DEVIATION,
     Replica,
     Statistic,
-    combined,
+    combine,
     day_to_day,
     effective_degrees,
     face_residual,
@@ -57,7 +57,7 @@ def test_z_of_equal_and_zero_values() -> None:
 
 
 def test_parts_of_the_uncertainty_add_as_squares_and_are_sorted() -> None:
-    total, names = combined({"sem": 3.0, "day-to-day": 4.0, "dust": 0.1, "none": 0.0})
+    total, names = combine({"sem": 3.0, "day-to-day": 4.0, "dust": 0.1, "none": 0.0})
     assert total == pytest.approx(sqrt(25.01))
     assert names == "day-to-day 4, sem 3"
 

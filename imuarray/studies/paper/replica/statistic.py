@@ -243,7 +243,7 @@ class Statistic:
         return log_ratio / self.uncertainty if self.uncertainty else copysign(inf, log_ratio)
 
 
-def combined(parts: Mapping[str, float]) -> tuple[float, str]:
+def combine(parts: Mapping[str, float]) -> tuple[float, str]:
     """Return the root sum of squares of the parts, and a text that names the relevant ones, largest first."""
     total = sqrt(sum(part**2 for part in parts.values()))
     named = sorted(((abs(part), name) for name, part in parts.items() if part), reverse=True)
@@ -262,7 +262,7 @@ def linear(
     """Return a statistic that is compared without a logarithm. `at` is (table, channel, statistic); `parts` are those
     of its uncertainty, by cause.
     """
-    return Statistic(*at, published, simulated, *combined(parts), fitted=fitted, derived=derived)
+    return Statistic(*at, published, simulated, *combine(parts), fitted=fitted, derived=derived)
 
 
 def logarithmic(at: Place, published: float, simulated: float, parts: Mapping[str, float], **marks: bool) -> Statistic:
