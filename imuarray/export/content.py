@@ -8,7 +8,7 @@ corrections (g-sensitivity, the start-up state of a gyroscope) are not applied.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, replace
 from typing import Any
@@ -56,8 +56,7 @@ def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     columns = []
     for name, unit in COMPENSATED_UNITS.items():
         with suppress(LogError):
-            kind = "<f4" if name in SINGLE_PRECISION else "<f8"
-            columns.append(TableColumn(name, kind, unit, (), _numbers(sensor.compensated(name), kind)))
+            columns.append(_stored(name, sensor.compensated(name), unit, "<f4" if name in SINGLE_PRECISION else "<f8"))
     return tuple(columns)
 
 
@@ -80,13 +79,15 @@ def _temperature(sensor: SensorLog) -> tuple[TableColumn, ...]:
         return ()
     degc = degc_of(sensor)
     if degc is None or not has_zero(sensor):
-        return (TableColumn("temperature_counts", "<i2", "counts", (), lambda rows: np.asarray(column[rows])),)
+        return (_stored("temperature_counts", column, "counts", "<i2"),)
     zero, step = degc
     return (TableColumn("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
 
 
-def _numbers(column: Any, kind: str = "<f8") -> Callable[[slice], npt.NDArray[Any]]:
-    return lambda rows: np.asarray(column[rows], kind)
+def _stored(name: str, column: Any, unit: str, kind: str = "", cells: tuple[str, ...] = ()) -> TableColumn:
+    """Return a column of a file, as it is stored or as numbers of the type `kind`."""
+    kind = kind or column.dtype.newbyteorder("<").str
+    return TableColumn(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
 
 
 _OTHER_FIELDS = frozenset(
@@ -152,24 +153,17 @@ def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -
     attributes: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:
         attributes["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
-    status = TableColumn("status", "<u2", "1", (), lambda rows: np.asarray(sensor.status[rows]))
-    columns = (_time(sensor.time), *rest[:1], status, *rest[1:])
+    time, status = _stored("time", sensor.time, "ns", "<i8"), _stored("status", sensor.status, "1", "<u2")
+    columns = (time, *rest[:1], status, *rest[1:])
     return ExportTable(f"sensors/{sensor.name}", len(sensor), columns, header | attributes)
 
 
 def _raw_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Return all columns of a sensor as they are stored in the log, except time and status."""
-    counts, degrees = sensor.counts, sensor.temperature_counts
-    kind = counts.dtype.newbyteorder("<").str
-    columns = [TableColumn("counts", kind, "counts", sensor.count_columns, lambda rows: np.asarray(counts[rows]))]
-    if degrees is not None:
-        width = degrees.dtype.newbyteorder("<").str
-        columns.append(TableColumn("temperature_counts", width, "counts", (), lambda rows: np.asarray(degrees[rows])))
+    columns = [_stored("counts", sensor.counts, "counts", cells=sensor.count_columns)]
+    if sensor.temperature_counts is not None:
+        columns.append(_stored("temperature_counts", sensor.temperature_counts, "counts"))
     return (*columns, *compensated_columns(sensor))
-
-
-def _time(column: Any) -> TableColumn:
-    return TableColumn("time", "<i8", "ns", (), lambda rows: np.asarray(column[rows], np.int64))
 
 
 def full_header(sensor: SensorLog) -> SensorHeader:
@@ -200,17 +194,13 @@ def _tracks(log: Log) -> Iterator[ExportTable]:
         if track is None:
             continue
         stored = {part: column for part, column in track._asdict().items() if column is not None}
-        columns = tuple(_track_column(part, column) for part, column in stored.items())
-        yield ExportTable(name, len(track.time), columns, {"name": name, "frame": "box", "columns": list(stored)})
-
-
-def _track_column(name: str, column: Any) -> TableColumn:
-    if name == "time":
-        return _time(column)
-    unit = TRACK_UNITS[name]
-    kind = "<i8" if unit == "ns" else "<f8"
-    cells = ("x", "y", "z") if len(column.shape) == 2 else ()
-    return TableColumn(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
+        columns = []
+        for part, column in stored.items():
+            unit = "ns" if part == "time" else TRACK_UNITS[part]
+            cells = _AXES if len(column.shape) == 2 else ()
+            columns.append(_stored(part, column, unit, "<i8" if unit == "ns" else "<f8", cells))
+        about = {"name": name, "frame": "box", "columns": list(stored)}
+        yield ExportTable(name, len(track.time), tuple(columns), about)
 
 
 def head_with(content: Content, **more: Any) -> Mapping[str, Any]:
@@ -230,19 +220,14 @@ def _fused_content(request: ExportRequest) -> Iterator[Content]:
         head: dict[str, Any] = {"format": fused_file.FORMAT, "format_version": fused_file.FORMAT_VERSION, "units": "si"}
         head |= {name: attributes.get(name, "") for name in ("epoch", "technique", "log", "calibration", "software")}
         listed = sorted(columns.items(), key=lambda item: (item[0] != "time", item[0]))
-        table = ExportTable(
-            "fused",
-            fused_file.rows_of(columns),
-            tuple(_fused_column(column, name) for name, column in listed),
-            {"name": "fused", "frame": "box"},
+        fused = tuple(
+            _stored(name, column, "ns", "<i8")
+            if name == "time"
+            else _stored(name, column, fused_file.UNITS.get(name, "1"), cells=_cells(column))
+            for name, column in listed
         )
+        table = ExportTable("fused", fused_file.rows_of(columns), fused, {"name": "fused", "frame": "box"})
         yield Content("si", head["epoch"], head, (table,))
-
-
-def _fused_column(column: NamedColumn, name: str) -> TableColumn:
-    kind = "<i8" if name == "time" else column.dtype.newbyteorder("<").str
-    unit = "ns" if name == "time" else fused_file.UNITS.get(name, "1")
-    return TableColumn(name, kind, unit, _cells(column), lambda rows: np.asarray(column[rows], kind))
 
 
 def _cells(column: NamedColumn) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ in chunks that are compressed one by one, so that memory does not grow with the 
 A JSON message consists of a template, which all rows with the same known values share, and the texts of the values.
 Within a block these are padded with spaces to equal length, which JSON allows around numbers, so that numpy can
 assemble all rows at once.
+
+Importing this module raises MissingExtraError without the package `mcap`.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +37,10 @@ from imuarray.fuse.optimal.geometry import patterns
 from imuarray.log.health import is_trouble
 from imuarray.wall_time import unix_ns
 
-if TYPE_CHECKING:
-    from imuarray.export.mcap_container import Container
+try:
+    from imuarray.export.mcap_container import MESSAGE_HEAD, Container, message_heads
+except ImportError:
+    raise MissingExtraError("mcap", "export") from None
 
 _BLOCK = 1 << 12
 """Rows of each table that are in memory at a time."""
@@ -147,18 +151,12 @@ class _ChannelStream:
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write all tables, phases and events to `path`, in SI unless other units are requested; MissingExtraError,
-    ExportError for an epoch that is not a date, and for units that ROS 2 does not allow.
+    """Write all tables, phases and events to `path`, in SI unless other units are requested; ExportError for an epoch
+    that is not a date, and for units that ROS 2 does not allow.
     """
     for_ros2 = request.tool == "ros2"
     if for_ros2 and request.units not in (None, "si"):
         raise ExportError(f"{path}: messages of ROS 2 are in SI; leave units out")
-    try:
-        import mcap.writer  # noqa: F401
-
-        from imuarray.export.mcap_container import Container
-    except ImportError:
-        raise MissingExtraError("mcap", "export") from None
     with open_content(request, "si") as content:
         zero_ns = unix_ns(content.epoch)
         if zero_ns is None:
@@ -339,7 +337,7 @@ def _filled(
                 else texts_of[part](cells[part])
             )
     line = b"".join(part if isinstance(part, bytes) else texts_by_form[part][0].tobytes() for part in form)
-    position = _head_bytes()
+    position = MESSAGE_HEAD.itemsize
     messages = np.empty((len(time_ns), position + len(line)), np.uint8)
     messages[:, position:] = np.frombuffer(line, np.uint8)  # the first message, on which the differences are written
     for part in form:
@@ -421,24 +419,15 @@ class _NumberTexts:
         return np.searchsorted(self._known, bits)
 
 
-def _head_bytes() -> int:
-    """Return the number of bytes before the data of a message."""
-    from imuarray.export.mcap_container import MESSAGE_HEAD
-
-    return MESSAGE_HEAD.itemsize
-
-
 def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
     """Return (n,) equally long messages (n, l), each with its head."""
-    room = np.empty((len(texts), _head_bytes()), np.uint8)
+    room = np.empty((len(texts), MESSAGE_HEAD.itemsize), np.uint8)
     return _put_heads(np.concatenate([room, texts], axis=1), channel, sequence, time_ns)
 
 
 def _put_heads(whole: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
     """Write the heads of equally long messages into their first bytes; return the messages (n,)."""
-    from imuarray.export.mcap_container import message_heads
-
-    length = _head_bytes()
+    length = MESSAGE_HEAD.itemsize
     heads = message_heads(channel, sequence, time_ns, whole.shape[1] - length)
     whole[:, :length] = heads.view(np.uint8).reshape(len(whole), -1)
     return whole.view(f"V{whole.shape[1]}")[:, 0]

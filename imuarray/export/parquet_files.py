@@ -3,7 +3,7 @@ The column `time` has dates in UTC, to the nanosecond (`time_ns`, counted from t
 triad is three columns, named as in CSV. The unit of a column is in its metadata; all other data are in the metadata of
 the file, as JSON under "imuarray". As in CSV, a single table is the file itself; for several tables there is a file for
 each next to it, run_Acc.parquet, ..., and run.parquet lists the files and their tables. Rows are written in groups, so
-that memory doesn't grow with the log.
+that memory doesn't grow with the log. Importing this module raises MissingExtraError without pyarrow.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,19 +23,18 @@ from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, ExportRequest, Expo
 from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
 from imuarray.wall_time import unix_ns
 
-if TYPE_CHECKING:
+try:
     import pyarrow
+    import pyarrow.parquet as parquet
+except ImportError:
+    raise MissingExtraError("pyarrow", "parquet") from None
 
 _GROUP_ROWS = 1 << 16
 """Rows of a group, which a reader loads at once."""
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write one table to `path`, or a file for each table next to it and their list to `path`; MissingExtraError."""
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError:
-        raise MissingExtraError("pyarrow", "parquet") from None
+    """Write one table to `path`, or a file for each table next to it and their list to `path`."""
     with open_content(request) as content:
         meter = Meter(content, progress)
         if len(content.tables) == 1 and (request.sensors or content.head["format"] != "imuarray-log"):
@@ -58,9 +57,6 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
 
 
 def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping[str, Any], meter: Meter) -> None:
-    import pyarrow
-    from pyarrow import parquet
-
     zero_ns = unix_ns(content.epoch)
     fields = [field for column in table.columns for field in _fields(column, zero_ns)]
     schema = pyarrow.schema(fields, metadata=_metadata(head))
@@ -72,8 +68,6 @@ def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping
 
 
 def _fields(column: TableColumn, zero_ns: int | None) -> Iterator[pyarrow.Field]:
-    import pyarrow
-
     if column.name == "time":
         kind = pyarrow.int64() if zero_ns is None else pyarrow.timestamp("ns", tz="UTC")
         yield pyarrow.field("time_ns" if zero_ns is None else "time", kind, nullable=False)
@@ -84,8 +78,6 @@ def _fields(column: TableColumn, zero_ns: int | None) -> Iterator[pyarrow.Field]
 
 
 def _arrays(column: TableColumn, rows: slice, zero_ns: int | None) -> Iterator[pyarrow.Array]:
-    import pyarrow
-
     values = np.asarray(column.read(rows), column.kind)
     if column.name == "time" and zero_ns is not None:
         yield pyarrow.array(values + zero_ns, pyarrow.timestamp("ns", tz="UTC"))
@@ -96,9 +88,6 @@ def _arrays(column: TableColumn, rows: slice, zero_ns: int | None) -> Iterator[p
 
 def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[Any]], head: Mapping[str, Any]) -> None:
     """Write a short table of texts and integers; times are in ns since the epoch."""
-    import pyarrow
-    from pyarrow import parquet
-
     columns = zip(*rows, strict=True) if rows else [()] * len(names)
     kinds = {"start": pyarrow.int64(), "end": pyarrow.int64(), "time": pyarrow.int64(), "rows": pyarrow.int64()}
     arrays = [

@@ -222,7 +222,9 @@ def test_times_before_1970_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    for name in ("mcap_file", "mcap_container"):
+        monkeypatch.delitem(sys.modules, f"imuarray.export.{name}")
+    monkeypatch.setitem(sys.modules, "mcap", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'imuarray\[export\]'"):
         export(run, run.with_name("r.mcap"))
 

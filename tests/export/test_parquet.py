@@ -71,6 +71,7 @@ def test_a_file_of_another_program_is_imported_by_its_map(run: Path, tmp_path: P
 def test_a_missing_package_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
+    monkeypatch.delitem(sys.modules, "imuarray.export.parquet_files", raising=False)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with pytest.raises(MissingExtraError, match=r"imuarray\[parquet\]"):
         export(run, run.with_name("r.parquet"))
