@@ -85,8 +85,9 @@ def _log(path: Path, context: PageContext) -> PagePart:
                 log, calibration, with_figures=with_figures, progress=techniques, executor=executor
             )
         if gains:
-            sections.append(gains.section)
-            verdicts += [gains.verdict] if gains.verdict else []
+            section, verdict = gains
+            sections.append(section)
+            verdicts += [verdict] if verdict else []
         return PagePart(verdicts, list(log_summary(log)), sections)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -181,13 +181,6 @@ _NOISE = 0.1
 """Share of the time that measuring the sensors' noise takes."""
 
 
-class TechniqueGains(NamedTuple):
-    """The section on what fusion gains, and the verdict (None if the techniques could not be evaluated)."""
-
-    section: Section
-    verdict: Verdict | None = None
-
-
 def techniques_section(
     log: Log,
     calibration: Calibration,
@@ -195,9 +188,9 @@ def techniques_section(
     with_figures: bool,
     progress: Callable[[float], None] = lambda share: None,
     executor: Executor | None = None,
-) -> TechniqueGains | None:
-    """Compare every technique with the average; None for a log without truth or reference. The processes of the
-    `executor` do a part of the work.
+) -> tuple[Section, Verdict | None] | None:
+    """Return the section on what fusion gains over the average, and the verdict (None if the techniques could not be
+    evaluated); None for a log without truth or reference. The processes of the `executor` do a part of the work.
     """
     if log.motion_track is None:
         return None
@@ -208,7 +201,7 @@ def techniques_section(
             log, with_noise, progress=lambda share: progress(_NOISE + (1 - _NOISE) * share), executor=executor
         )
     except ImuArrayError as error:
-        return TechniqueGains(Section(title, f"The techniques could not be evaluated: {error}."))
+        return Section(title, f"The techniques could not be evaluated: {error}."), None
     scores = [score for score in comparison.scores if score.technique != "mean"]
     words = (
         "Rms error against the log's truth, divided by that of the simple average of the same sensors."
@@ -228,7 +221,7 @@ def techniques_section(
         listed = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
         parts.append(Figure(drawing, caption, f"{caption} {listed}."))
     section = Section(title, words, [*parts, _table(comparison), *_coasting(comparison)])
-    return TechniqueGains(section, techniques_verdict(log, comparison))
+    return section, techniques_verdict(log, comparison)
 
 
 def _ratio(score: Score) -> tuple[float, float]:

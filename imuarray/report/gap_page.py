@@ -325,17 +325,10 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
     """Return the `MOST_ROWS` quantities with the largest pulls, those without a tolerance last; pulls out of tolerance
     are marked.
     """
-    rows = [
-        [
-            f"{pull.sensor} {pull.axis}".rstrip(),
-            pull.quantity,
-            *pull_values(pull),
-            _pull(pull),
-            pull.source,
-            ", ".join(pull.explained_by) or NOTHING,
-        ]
-        for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]
-    ]
+    rows = []
+    for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]:
+        name, causes = f"{pull.sensor} {pull.axis}".rstrip(), ", ".join(pull.explained_by) or NOTHING
+        rows.append([name, pull.quantity, *pull_values(pull), _pull(pull), pull.source, causes])
     heading = ["sensor", "quantity", "value", "tolerance", "pull", "source", "may come from"]
     caption = (
         "Worst first. The pull is the deviation from the nominal value in units of the tolerance; marked above one, "
@@ -388,16 +381,10 @@ def _uses_table(uses: Sequence[Use]) -> Table:
     """Return the figures in units of use with their intervals; a simulated one is marked if its interval does not
     overlap that of the recording.
     """
-    rows = [
-        [
-            f"{use.name} ({use.unit})",
-            use.sensor or "array",
-            _interval(use.real),
-            _against(use.before, use.real),
-            _against(use.after, use.real),
-        ]
-        for use in uses
-    ]
+    rows = []
+    for use in uses:
+        simulated = [_against(estimate, use.real) for estimate in (use.before, use.after)]
+        rows.append([f"{use.name} ({use.unit})", use.sensor or "array", _interval(use.real), *simulated])
     heading = ["figure", "of", "recorded", "simulated before", "simulated after"]
     caption = "With 95 % intervals; marked where the interval does not overlap that of the recording."
     return Table(heading, rows, caption, (1,))
@@ -513,33 +500,21 @@ def _judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
         judged,
         key=lambda candidate: (not candidate.is_accepted, -(candidate.gain if candidate.gain is not None else -1e300)),
     )
-    rows = [
-        [
-            candidate.effect or marked(PLACEBO),
-            candidate.action,
-            ", ".join(candidate.sensors) or "all",
-            number(candidate.fits, 2),
-            NOTHING if candidate.gain is None else f"{candidate.gain:+.1f}",
-            "yes" if candidate.is_accepted else "no",
-        ]
-        for candidate in ranked[:MOST_ROWS]
-    ]
+    rows = []
+    for candidate in ranked[:MOST_ROWS]:
+        effect, sensors = candidate.effect or marked(PLACEBO), ", ".join(candidate.sensors) or "all"
+        gain = NOTHING if candidate.gain is None else f"{candidate.gain:+.1f}"
+        accepted = "yes" if candidate.is_accepted else "no"
+        rows.append([effect, candidate.action, sensors, number(candidate.fits, 2), gain, accepted])
     caption = "Fits: how well it explains what the training part shows. Gain: how much likelier it makes held-out data."
     return Table(["effect", "action", "sensors", "fits", "gain (nats)", "accepted"], rows, caption, (1, 2, 5))
 
 
 def _recorded(diagnosis: Diagnosis) -> Section:
-    recorded = [
-        [
-            recording.name,
-            recording.kind,
-            duration(recording.seconds),
-            str(recording.sensors),
-            str(recording.phases),
-            f"{recording.rows:,}".replace(",", " "),
-        ]
-        for recording in diagnosis.recorded
-    ]
+    recorded = []
+    for recording in diagnosis.recorded:
+        sizes = [str(recording.sensors), str(recording.phases), f"{recording.rows:,}".replace(",", " ")]
+        recorded.append([recording.name, recording.kind, duration(recording.seconds), *sizes])
     heading = ["log", "experiment", "duration", "sensors", "phases", "rows"]
     notes = [_numbered("note", diagnosis.notes, "Remarks of the diagnosis.")] if diagnosis.notes else []
     origin = [
@@ -598,16 +573,10 @@ def curves_section(overlays: Sequence[Overlay], *, with_figures: bool) -> Sectio
 
 def _overlays_table(overlays: Sequence[Overlay]) -> Table:
     """Return the share of each curve that lies outside the bands of the simulations, before and after."""
-    rows = [
-        [
-            f"{overlay.sensor} {overlay.axis}".rstrip(),
-            overlay.kind,
-            overlay.phase or "all",
-            share(outside(overlay, overlay.before)),
-            share(outside(overlay, overlay.after)),
-        ]
-        for overlay in overlays
-    ]
+    rows = []
+    for overlay in overlays:
+        shares = [share(outside(overlay, bands)) for bands in (overlay.before, overlay.after)]
+        rows.append([f"{overlay.sensor} {overlay.axis}".rstrip(), overlay.kind, overlay.phase or "all", *shares])
     caption = "Share of each curve outside the 95 % band of the simulations; about 5 % by chance."
     return Table(["sensor", "curve", "phase", "before", "after"], rows, caption, (1, 2))
 

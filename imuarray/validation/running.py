@@ -34,7 +34,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from threading import local
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from imuarray.errors import ConfigError, ImuArrayError, MissingExtraError
 from imuarray.gap.model.workers import Pool, processes
@@ -42,21 +42,6 @@ from imuarray.validation.case import Case, Outcome, write_json
 
 _ADDRESS = re.compile(r"tcp://[^\s/:@]+:\d{1,5}")
 _CONNECT_S = 10.0
-
-
-class Workers(Protocol):
-    """An executor that reports the number of calls that it runs in parallel, and the death of a worker."""
-
-    @property
-    def places(self) -> int:
-        """The number of calls that run in parallel now; 0 if all have to wait."""
-
-    @property
-    def deaths(self) -> tuple[type[Exception], ...]:
-        """The exceptions that the future of a call raises when its worker died."""
-
-    def submit(self, job: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Submit a call as `concurrent.futures.Executor.submit` does."""
 
 
 @contextmanager
@@ -155,6 +140,12 @@ class InlineExecutor:
         future: Future[Any] = Future()
         future.set_result(job(*args))
         return future
+
+
+Workers = Processes | Cluster | InlineExecutor
+"""An executor that states how many calls it runs in parallel now (`places`; 0 if all have to wait), and which
+exceptions the future of a call raises when its worker died (`deaths`).
+"""
 
 
 def _client(address: str) -> Any:
