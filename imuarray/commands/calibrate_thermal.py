@@ -8,7 +8,9 @@ import click
 
 if TYPE_CHECKING:
     from imuarray.calibrate import SensorCalibration, ThermalResult
-    from imuarray.calibrate.thermal import HeatingFit
+
+
+_UNREPORTED = ("fit", "offset_lsb", "drift_sem_lsb_per_s")
 
 
 def report_of(result: ThermalResult) -> dict[str, Any]:
@@ -21,7 +23,10 @@ def report_of(result: ThermalResult) -> dict[str, Any]:
     nothing = holm([pair.p_nothing_left for pair in result.pairs])
     return {
         "sensors": [_sensor(sensor) for sensor in result.calibration.sensors.values()],
-        "heatings": [_heating(heating) for heating in result.heatings],
+        "heatings": [
+            {name: value for name, value in (vars(heating) | vars(heating.fit)).items() if name not in _UNREPORTED}
+            for heating in result.heatings
+        ],
         "pairs": [
             {**vars(pair), "p_cancels": p_cancels, "p_nothing_left": p_nothing}
             for pair, p_cancels, p_nothing in zip(result.pairs, cancels.tolist(), nothing.tolist(), strict=True)
@@ -34,27 +39,6 @@ def _sensor(sensor: SensorCalibration) -> dict[str, Any]:
     from imuarray.calibrate.entries import to_table
 
     return {"name": sensor.name, "unit": sensor.unit, **to_table(sensor.thermal)}
-
-
-def _heating(heating: HeatingFit) -> dict[str, Any]:
-    fit = heating.fit
-    return {
-        "sensor": heating.sensor,
-        "log": heating.log,
-        "thermometer": heating.thermometer,
-        "span_degc": list(heating.span_degc),
-        "gravity_g": heating.gravity_g.tolist(),
-        "slope_lsb_per_degc": fit.slope_lsb_per_degc.tolist(),
-        "slope_sem_lsb_per_degc": fit.slope_sem_lsb_per_degc.tolist(),
-        "drift_lsb_per_s": fit.drift_lsb_per_s.tolist(),
-        "reference_degc": fit.reference_degc,
-        "quadratic_lsb_per_degc2": fit.quadratic_lsb_per_degc2.tolist(),
-        "quadratic_sem_lsb_per_degc2": fit.quadratic_sem_lsb_per_degc2.tolist(),
-        "lag_s": fit.lag_s,
-        "lag_interval_s": fit.lag_interval_s.tolist(),
-        "line_lsb_per_degc": fit.line_lsb_per_degc.tolist(),
-        "line_sem_lsb_per_degc": fit.line_sem_lsb_per_degc.tolist(),
-    }
 
 
 def print_report(report: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -154,8 +155,6 @@ def json_text(value: Any, depth: int = 0) -> str:
     """Return JSON with one line for each entry of an object and for each list of numbers. The encoder of the standard
     library would put each number of the long curves on a line of its own, and is slower.
     """
-    import json
-
     margin = "\n" + " " * (depth + 1)
     if isinstance(value, dict) and value:
         entries = (f"{json.dumps(name)}: {json_text(item, depth + 1)}" for name, item in value.items())

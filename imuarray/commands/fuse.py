@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import click
 import numpy as np
 
-from imuarray.commands.fuse_report import evaluated, notes_sentences, pair_lines, pairs_of, print_evaluation
+from imuarray.commands.fuse_report import evaluate_techniques, notes_sentences, pair_lines, pairs_of, print_evaluation
 from imuarray.commands.options import (
     bars,
     force_option,
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 _MEAN = "mean"
 
+Fuse = Callable[..., "Iterator[FusedBlock]"]
+"""Function `imuarray.fuse.fuse` with some arguments set."""
 
 _AVERAGE = 0.1
 """Share of the time that the average takes if it is computed before an estimator of the whole array."""
@@ -119,7 +122,6 @@ def command(options: FuseOptions) -> None:
         for remark in inputs.remarks:
             click.echo(f"imuarray: {remark}", err=True)
         calibration, names = inputs.calibration, list(inputs.only)
-        work = _Work(log, calibration, options.technique, names, options.causal, options.watch)
         report: dict[str, Any] = {
             "technique": options.technique,
             "uncalibrated": list(inputs.uncalibrated),
@@ -131,77 +133,42 @@ def command(options: FuseOptions) -> None:
         }
         notes = None
         if options.output is not None:
-            evaluation, notes = _write_fused(work, options.output, str(options.calibration_file or ""), options.force)
+            evaluation, notes = _write_fused(log, calibration, names, options, options.output)
             report |= evaluation
         if options.evaluate:
-            report["evaluation"] = evaluated(log, calibration, names)
+            report["evaluation"] = evaluate_techniques(log, calibration, names)
     if options.as_json:
         print_json(report)
     else:
         _print(report, notes)
 
 
-@dataclass(frozen=True)
-class _Work:
-    """The inputs and options of a fusion."""
-
-    log: Log
-    calibration: Calibration
-    technique: str
-    names: list[str]
-    causal: bool
-    watch: bool | None
-
-    def fused(
-        self,
-        technique: str | PipelineFactory,
-        on_fault: Callable[[FaultEvent], None] = lambda event: None,
-        take_notes: Callable[[FusionNotes], None] = lambda notes: None,
-        progress: Callable[[float], None] = lambda share: None,
-        average: Callable[[FusedBlock], None] | None = None,
-    ) -> Iterator[FusedBlock]:
-        """Yield the result; `on_fault` is called for sensors that fail, `take_notes` at the end, `average` as by
-        `fuse`.
-        """
-        from imuarray.chips import SENSITIVITIES
-        from imuarray.fuse import Watch, fuse
-
-        watch = Watch(self.watch, SENSITIVITIES, on_fault)
-        return fuse(
-            self.log,
-            self.calibration,
-            technique,
-            only=self.names,
-            causal=self.causal,
-            watch=watch,
-            notes=take_notes,
-            average=average,
-            progress=progress,
-        )
-
-
-def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
+def _write_fused(
+    log: Log, calibration: Calibration, names: Sequence[str], options: FuseOptions, output: Path
+) -> tuple[dict[str, Any], FusionNotes]:
     """Write the fused file; return its path, its figures and those of the average, and the notes of the technique."""
-    from imuarray.fuse import write_fused
+    from imuarray.chips import SENSITIVITIES
+    from imuarray.fuse import Watch, fuse, write_fused
 
-    log, technique = work.log, work.technique
+    technique = options.technique
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
     sensors: dict[str, list[str]] = {
-        quantity: [sensor.name for sensor in log.of(quantity, work.names)] for quantity in INERTIAL
+        quantity: [sensor.name for sensor in log.of(quantity, names)] for quantity in INERTIAL
     }
-    valued: set[str] = set()
+    average = partial(fuse, log, calibration, only=names, causal=options.causal)
+    watch = Watch(options.watch, SENSITIVITIES, events.append)
     with share_progress(technique) as progress, _Quality(log) as quality:
         frames = write_fused(
             output,
-            _note_values(_measure(work, quality, events.append, notes.append, progress), valued),
+            _measure(average, partial(average, watch=watch, notes=notes.append), options, quality, progress),
             epoch=log.epoch,
             technique=technique,
             log=encodable(str(log.path)),
-            calibration=encodable(source),
+            calibration=encodable(str(options.calibration_file or "")),
             sensors=sensors,
             events=events,
-            force=force,
+            force=options.force,
         )
         results = quality.results()
     report = {
@@ -210,7 +177,7 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
         "empty": [
             f"{quantity}: no frame has a value, because {listed(names)} had no valid reading near the time of a frame"
             for quantity, names in sensors.items()
-            if names and quantity not in valued
+            if names and quantity not in quality.valued.get(technique, ())
         ],
         "faults": [event.as_json() for event in sorted(events, key=lambda event: event.time_ns)],
         "learned": notes[0].as_json(),
@@ -220,44 +187,35 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
     return report, notes[0]
 
 
-def _note_values(blocks: Iterator[FusedBlock], valued: set[str]) -> Iterator[FusedBlock]:
-    """Yield the blocks, and add to `valued` the quantities of which a frame has a value."""
-    for block in blocks:
-        valued.update(quantity for quantity, triads in block.triads.items() if np.isfinite(triads).any())
-        yield block
-
-
 def _measure(
-    work: _Work,
-    quality: _Quality,
-    on_fault: Callable[[FaultEvent], None],
-    take_notes: Callable[[FusionNotes], None],
-    progress: Callable[[float], None],
+    average: Fuse, fused: Fuse, options: FuseOptions, quality: _Quality, progress: Callable[[float], None]
 ) -> Iterator[FusedBlock]:
-    """Yield the blocks of the result; `quality` gets each of them, and the blocks of the average before them. If the
+    """Yield the blocks of `fused`; `quality` gets each of them, and the blocks of the `average` before them. If the
     technique excludes no readings, both are computed from the same aligned frames.
     """
-    from imuarray.fuse import TECHNIQUES, ComparisonPipeline
+    from imuarray.chips import SENSITIVITIES
+    from imuarray.fuse import TECHNIQUES, ComparisonPipeline, Watch
 
-    technique = work.technique
-    if technique not in TECHNIQUES and not work.causal and not work.watch:  # it smooths
-        average: Callable[[FusedBlock], None] = lambda block: quality.add({_MEAN: block})  # noqa: E731
-        for block in work.fused(technique, on_fault, take_notes, progress, average):
+    technique = options.technique
+    if technique not in TECHNIQUES and not options.causal and not options.watch:  # it smooths
+        add: Callable[[FusedBlock], None] = lambda block: quality.add({_MEAN: block})  # noqa: E731
+        for block in fused(technique, average=add, progress=progress):
             quality.add({technique: block})
             yield block
         return
-    if technique == _MEAN or technique not in TECHNIQUES or work.watch:
+    if technique == _MEAN or technique not in TECHNIQUES or options.watch:
         start = 0.0 if technique == _MEAN else _AVERAGE
         if technique != _MEAN:
-            for block in work.fused(_MEAN, progress=lambda share: progress(start * share)):
+            watch = Watch(options.watch, SENSITIVITIES)
+            for block in average(_MEAN, watch=watch, progress=lambda share: progress(start * share)):
                 quality.add({_MEAN: block})
-        for block in work.fused(technique, on_fault, take_notes, lambda share: progress(start + (1 - start) * share)):
+        for block in fused(technique, progress=lambda share: progress(start + (1 - start) * share)):
             quality.add({technique: block})
             yield block
         return
     averages: list[FusedBlock] = []
     comparison: PipelineFactory = lambda axes, period_s: ComparisonPipeline(axes, technique, _MEAN, averages.append)  # noqa: E731
-    for block in work.fused(comparison, on_fault, take_notes, progress):
+    for block in fused(comparison, progress=progress):
         quality.add({_MEAN: averages.pop(), technique: block})
         yield block
 
@@ -283,16 +241,20 @@ class _Quality:
 
         self._errors = ErrorEvaluation(log) if log.motion_track else None
         self._noise: dict[str, QuietNoise] = {}
+        self.valued: dict[str, set[str]] = {}
+        """The quantities of which a frame has a value, by technique."""
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """Add the next block of each result, by technique."""
         from imuarray.fuse import QuietNoise
 
+        for technique, block in together.items():
+            valued = self.valued.setdefault(technique, set())
+            valued.update(quantity for quantity, triads in block.triads.items() if np.isfinite(triads).any())
+            if self._errors is None:
+                self._noise.setdefault(technique, QuietNoise()).add(block)
         if self._errors is not None:
             self._errors.add(together)
-            return
-        for technique, block in together.items():
-            self._noise.setdefault(technique, QuietNoise()).add(block)
 
     def results(self) -> dict[str, dict[str, Any]]:
         """Return the results by technique and quantity."""

@@ -125,7 +125,7 @@ def _cells(error: dict[str, Any] | None, factor: float) -> str:
 # Evaluation --------------------------------------------------------------------------------------------------------
 
 
-def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
+def evaluate_techniques(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
     """Return the evaluation of all techniques on a log, with a progress bar, JSON-ready, in SI except for headings in
     degrees; `names`: only these sensors.
     """

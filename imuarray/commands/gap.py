@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,8 +139,6 @@ def diagnose(options: DiagnoseOptions) -> None:
 
 def _write(folder: Path, diagnosis: Diagnosis) -> None:
     """Write the numbers, the repaired model, and the page as far as optional packages allow."""
-    import json
-
     from imuarray.errors import MissingExtraError
     from imuarray.report.gap_page import write_gap_page
 

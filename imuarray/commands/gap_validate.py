@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -205,8 +206,6 @@ _PLAN_NAMES = {
 
 def _prepare_folder(folder: Path, plan: dict[str, Any]) -> None:
     """Record the plan and the thresholds of a new run; ConfigError if the folder belongs to another run."""
-    import json
-
     from imuarray.errors import ConfigError
     from imuarray.validation.case import write_json
     from imuarray.validation.trial import frozen_thresholds

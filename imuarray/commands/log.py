@@ -83,23 +83,9 @@ def print_summary(
     """Print what was recorded, as text or JSON; `start_up` holds the sentences on how sensors started."""
     lost_readings = {name: count for name, count in summary.lost.items() if count}
     if as_json:
-        print_json(
-            {
-                "log": str(output),
-                "logs": [str(path) for path in summary.logs],
-                "frames": summary.frames,
-                "late": summary.late,
-                "missed": summary.missed,
-                "missed_by_bus": summary.missed_by_bus,
-                "uncertain": summary.uncertain,
-                "refused": summary.refused,
-                "lost": lost_readings,
-                "silent": summary.silent,
-                "seconds": summary.seconds,
-                "start_up": start_up,
-                **({"fusion": fusion.report()} if fusion else {}),
-            }
-        )
+        logs = [str(path) for path in summary.logs]
+        report = {"log": str(output), **vars(summary), "logs": logs, "lost": lost_readings, "start_up": start_up}
+        print_json({**report, "fusion": fusion.report()} if fusion else report)
         return
     rate = summary.frames / summary.seconds if summary.seconds else 0.0
     files_text = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"

@@ -5,6 +5,7 @@ With `--text`, each screen overwrites the previous one in a single write, so tha
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 import sys
@@ -177,8 +178,6 @@ def _complete(monitor: LogMonitor) -> Snapshot:
 
 
 def _show_json(snapshot: Snapshot) -> None:
-    import json
-
     from imuarray.monitor.payload import described
 
     click.echo(json.dumps(described(snapshot), ensure_ascii=False, allow_nan=False))
