@@ -389,7 +389,7 @@ def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence
     if bundle.stiffness < _SOFTEST:
         raise CalibrationError(insufficient_poses(readings.sensors[0]))
     chi_squared, freedom = _chi_squared(bundle)
-    joint = _JointFit(readings, values, bundle.weight, terms, bundle, np.zeros(len(values)), chi_squared, freedom)
+    joint = _JointFit(readings, values, bundle, np.zeros(len(values)), chi_squared, freedom)
     return _result(joint, np.full((len(readings.sensors), len(readings.poses)), np.nan), left_out)
 
 
@@ -402,18 +402,21 @@ def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Outlier]) -> N
 
 @dataclass(frozen=True)
 class _JointFit:
-    """Fit `bundle` of all axes (a = 3 s) in all poses (k) in g: its readings, weights and terms (k, q); the scatter
-    `beyond` noise (a,); chi-squared and degrees of freedom (a,) by noise alone.
+    """Fit `bundle` of all axes (a = 3 s) in all poses (k) to `values` (a, k) in g; the scatter `beyond` noise (a,);
+    chi-squared and degrees of freedom (a,) by noise alone.
     """
 
     readings: PoseReadings
     values: Floats
-    weight: Floats
-    terms: Floats
     bundle: Bundle
     beyond: Floats
     chi_squared: Floats
     freedom: Floats
+
+    @property
+    def terms(self) -> Floats:
+        """The terms (k, q) of the fit in addition to the response."""
+        return self.bundle.design[:, 3:]
 
 
 def _fit_jointly(readings: PoseReadings) -> _JointFit:
@@ -436,7 +439,7 @@ def _fit_jointly(readings: PoseReadings) -> _JointFit:
         total = (1 / bundle.weight).mean(axis=1) * squares / np.maximum(freedoms, 0.5)
         beyond = np.where(change, np.maximum(total - noise.mean(axis=1), 0.0), beyond)
         bundle = solve(values, 1 / (noise + beyond[:, None]), terms, bundle.up_box)
-    return _JointFit(readings, values, bundle.weight, terms, bundle, np.sqrt(beyond), chi_squared, freedom)
+    return _JointFit(readings, values, bundle, np.sqrt(beyond), chi_squared, freedom)
 
 
 def _by_axis(triads: Floats) -> Floats:
@@ -481,7 +484,7 @@ def _leave_one_out(joint: _JointFit, progress: Callable[[int], None]) -> tuple[F
     for pose in range(poses):
         others = np.delete(np.arange(poses), pose)
         fit = solve(
-            joint.values[:, others], joint.weight[:, others], joint.terms[others], joint.bundle.up_box[others], 2
+            joint.values[:, others], joint.bundle.weight[:, others], joint.terms[others], joint.bundle.up_box[others], 2
         )
         if fit.stiffness > _SOFTEST:
             lengths[:, pose] = _lengths(fit.coefficients, joint.values[:, [pose]], joint.terms[[pose]])[:, 0]

@@ -257,13 +257,15 @@ def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse
     size, (terms, rows, states) = len(parity), response.dense.shape
     measured = np.empty((terms * size, states)), np.empty(terms * size)
     given = (sums.squares, sums.products, sums.blur, parity, *response.sparse)
-    count = compiled.measure((*given, *measured), (states, terms, rows, len(response.sparse[1]), size), _DOUBT)
+    count, entries = -1, len(response.sparse[1])
+    if compiled.COMPILED:
+        count = compiled.measure((*given, *measured), (states, terms, rows, entries, size), _DOUBT)
     if count >= 0:
         return measured[0][: count * size], measured[1][: count * size]
     sizes, weights = _components(sums)
     seen = weights @ (parity @ response.dense).reshape(terms, size * states)
     scaled = seen.reshape(len(sizes), size, states) * sizes[:, None, None]
-    return scaled.reshape(-1, states), (weights @ sums.products @ parity.T / sizes[:, None]).ravel()
+    return scaled.reshape(len(sizes) * size, states), (weights @ sums.products @ parity.T / sizes[:, None]).ravel()
 
 
 def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:

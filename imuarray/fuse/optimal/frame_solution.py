@@ -67,7 +67,7 @@ class SegmentView:
         self._variance = self.geometry.noise**2 + self.geometry.timing**2 * change
         valid, self.stimulus = readings.valid[0], before
         if self.geometry.spans(valid):
-            if readings.same_rows and readings.bounds is None:
+            if compiled.COMPILED and readings.same_rows and readings.bounds is None:
                 self._pack(readings, change)
                 if self.packed is not None:
                     return

@@ -55,7 +55,7 @@ class Adjoint(NamedTuple):
 def predicted(prior: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
     """Return the predicted states: the share `remaining` (n,) of each, and the variance `added` (n,)."""
     mean, covariance = np.empty(prior.mean.shape), np.empty(prior.covariance.shape)
-    if not compiled.predict((remaining, added, *prior, mean, covariance), len(mean)):
+    if not compiled.COMPILED or not compiled.predict((remaining, added, *prior, mean, covariance), len(mean)):
         covariance = prior.covariance * (remaining[:, None] * remaining)
         covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
         mean = prior.mean * remaining
@@ -67,7 +67,7 @@ def corrected(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, 
     posterior = Gaussian(np.empty(prior.mean.shape), np.empty(prior.covariance.shape))
     step = Innovation(np.empty(rows.shape), np.empty(rows.shape), np.empty(values.shape))
     given = (*prior, np.ascontiguousarray(rows), np.ascontiguousarray(values))
-    if compiled.correct((*given, *posterior, *step), (rows.shape[1], len(rows))):
+    if compiled.COMPILED and compiled.correct((*given, *posterior, *step), (rows.shape[1], len(rows))):
         return posterior, step
     seen = rows @ prior.covariance
     innovations = seen @ rows.T
@@ -91,7 +91,7 @@ def backwards(later: Adjoint, step: Innovation) -> Adjoint:
     are not formed.
     """
     before = Adjoint(np.empty(later.vector.shape), np.empty(later.matrix.shape))
-    if compiled.turn_back((*later, *step, *before), (len(later.vector), len(step.values))):
+    if compiled.COMPILED and compiled.turn_back((*later, *step, *before), (len(later.vector), len(step.values))):
         return before
     across = step.gain @ later.matrix
     vector = later.vector - step.whitened.T @ (step.gain @ later.vector + step.values)
@@ -127,7 +127,7 @@ class StateResponse:
         """Return mean (terms, r) and covariance (terms, terms, r, r) of the effect of the states on the rows."""
         terms, rows, _ = self.dense.shape
         mean, covariance = np.empty((terms, rows)), np.empty((terms, terms, rows, rows))
-        if not compiled.effect((*belief, *self.sparse, mean, covariance), self._sizes):
+        if not compiled.COMPILED or not compiled.effect((*belief, *self.sparse, mean, covariance), self._sizes):
             mean = (self._flat @ belief.mean).reshape(terms, rows)
             product = self._flat @ belief.covariance @ self._flat.T
             covariance = np.ascontiguousarray(product.reshape(terms, rows, terms, rows).transpose(0, 2, 1, 3))
@@ -140,7 +140,7 @@ class StateResponse:
         terms, rows, _ = self.dense.shape
         drift = Drift(np.empty(rows), np.empty((rows, terms, rows)))
         given = (*belief, *adjoint, drifting, *self.sparse)
-        if compiled.drifts((*given, *drift), self._sizes):
+        if compiled.COMPILED and compiled.drifts((*given, *drift), self._sizes):
             return drift
         moving = np.where(drifting, self.dense[0], 0.0)
         cross = moving @ belief.covariance
@@ -170,7 +170,7 @@ def smoothed_drifts(
     information of these and all later measurements on the states before the steps.
     """
     response = steps[0].response
-    if all(step.response is response for step in steps):
+    if compiled.COMPILED and all(step.response is response for step in steps):
         smoothed = _smoothed_alike(belief, steps, later, drifting)
         if smoothed is not None:
             return smoothed

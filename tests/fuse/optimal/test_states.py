@@ -174,6 +174,18 @@ def test_compiled_measurements_equal_those_of_numpy(terms: int, moves: float, mo
         np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_a_model_without_states_has_no_columns(is_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "COMPILED", compiled.COMPILED and is_compiled)
+    evidence = SegmentEvidence(_geometry(), 1)
+    sums = evidence.sums_of(np.ones(ROWS, bool))
+    sums.squares += 4.0
+    parity = _geometry().parity(np.ones(ROWS, bool))
+    rows, values = _measurements(sums, parity, StateResponse(np.zeros((1, ROWS, 0))))
+    assert rows.shape == (len(parity), 0)
+    assert values.shape == (len(parity),)
+
+
 def _geometry() -> Geometry:
     rows = np.concatenate([np.eye(3), np.linalg.qr(np.random.default_rng(10).normal(size=(3, 3)))[0]])
     noise = np.linspace(0.1, 0.2, ROWS)
