@@ -285,8 +285,10 @@ class Rails:
 def find_rails(sensor: SensorLog) -> Rails:
     """Find the rails of a triad; its rows are read twice at most."""
     distributions = [NOTHING] * 3
+    readings = 0
     for block in sensor.blocks(_BLOCK_ROWS):
         counts = np.asarray(sensor.counts[block], np.int64)
+        readings += 1 + int(np.count_nonzero((counts[1:] != counts[:-1]).any(axis=1)))
         distributions = [
             merged.merge(histogram(column)) for merged, column in zip(distributions, counts.T, strict=True)
         ]
@@ -299,7 +301,7 @@ def find_rails(sensor: SensorLog) -> Rails:
     for axis, codes in enumerate(distributions):
         for side in (-1, 1):
             code = int(codes.codes[-1 if side > 0 else 0])
-            verdict = code == span[side > 0] or _at_end(codes, side, nominal)
+            verdict = code == span[side > 0] or _at_end(codes, side, nominal, readings / len(sensor))
             if verdict:
                 (high if side > 0 else low)[axis] = code
             elif verdict is None:
@@ -316,24 +318,26 @@ def find_rails(sensor: SensorLog) -> Rails:
     return Rails(low, high, np.array(rows, np.int64))
 
 
-def _at_end(distribution: Histogram, side: int, nominal: int) -> bool | None:
-    """Return whether the last code on a side is a rail; None if that depends on whether the box moved."""
+def _at_end(distribution: Histogram, side: int, nominal: int, new_share: float) -> bool | None:
+    """Return whether the last code on a side is a rail; None if that depends on whether the box moved. `new_share` of
+    the rows are readings of their own, and the others repeat them.
+    """
     code = int(distribution.codes[-1 if side > 0 else 0])
     distance = side * code
     if 0 < nominal - NOMINAL <= distance <= nominal:
         return True
     is_near = abs(distance - nominal) <= NEAR_RANGE * nominal
-    if not _is_pile(distribution, side, FALLING if is_near else TURNING):
+    if not _is_pile(distribution, side, FALLING if is_near else TURNING, new_share):
         return False
     return True if is_near else None
 
 
-def _is_pile(distribution: Histogram, side: int, share: float) -> bool:
+def _is_pile(distribution: Histogram, side: int, share: float, new_share: float) -> bool:
     """Return whether the last code on a side is significantly more frequent than the `share` of its readings and those
-    of the codes before it allows.
+    of the codes before it allows; `new_share` of its rows are readings of their own.
     """
     code = int(distribution.codes[-1 if side > 0 else 0])
-    count = int(distribution.counts[-1 if side > 0 else 0])
+    count = int(new_share * distribution.counts[-1 if side > 0 else 0])
     step = usual_step(distribution)
     if count < LEAST_PILE or step == 0:
         return False
@@ -344,7 +348,7 @@ def _is_pile(distribution: Histogram, side: int, share: float) -> bool:
     ):
         return False
     inwards = side * (code - distribution.codes)
-    codes_before = int(distribution.counts[(inwards > 0) & (inwards <= BEFORE * step)].sum())
+    codes_before = int(new_share * distribution.counts[(inwards > 0) & (inwards <= BEFORE * step)].sum())
     return bool(bdtrc(count - 1, count + codes_before, share) < SURE)
 
 

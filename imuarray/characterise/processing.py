@@ -154,12 +154,25 @@ def _share_of_held_axes(windows: Floats) -> float:
     """
     same = np.diff(windows, axis=1) == 0
     shares = same.mean(axis=(0, 1))
-    steps = np.diff(windows, axis=1).std(axis=1).mean(axis=0)
+    steps = np.diff(windows, axis=1)
+    codes = np.array([_usual_code(axis) for axis in steps.reshape(-1, 3).T])
     together = float(same.all(axis=2).mean())
-    by_chance = 0.4 / np.maximum(steps, 1e-9)  # the density of normal steps at 0
-    if (shares < HELD).any() or (shares < _BEYOND * by_chance).any() or together > 2 * float(np.prod(shares)):
+    by_chance = 0.4 * codes / np.maximum(steps.std(axis=1).mean(axis=0), 1e-9)  # the density of normal steps at 0
+    apart = float(np.prod(shares))
+    are_together = together > min(2 * apart, (apart + float(shares.min())) / 2)
+    if (shares < HELD).any() or (shares < _BEYOND * by_chance).any() or are_together:
         return 0.0
     return float(shares.mean())
+
+
+def _usual_code(steps: Floats) -> float:
+    """Return the distance of neighbouring codes of an axis in counts, from its changes (n,)."""
+    changes = np.abs(steps[steps != 0])
+    return float(np.quantile(changes, _LEAST_CHANGES)) if len(changes) else 1.0
+
+
+_LEAST_CHANGES = 0.02
+"""Share of the smallest changes of an axis, which are those by one code."""
 
 
 def _windows(values: Floats, most: float, clipped: Booleans) -> Floats:
@@ -304,8 +317,9 @@ def find_interpolation(sensor: SensorLog) -> Interpolation | None:
         steps = np.diff(counts.T.astype(np.int64, order="C"))  # contiguous axes, along which numpy is faster
         bends = np.abs(np.diff(steps)).max(axis=0)
         off_line = bends > ROUNDED
-        is_held = (bends == 0) & ~steps[:, 1:].any(axis=0)
-        straight += len(bends) - int(np.count_nonzero(off_line)) - int(np.count_nonzero(is_held))
+        size = np.abs(steps).max(axis=0)
+        is_coarse = np.maximum(size[1:], size[:-1]) <= ROUNDED  # on a line because of the rounding
+        straight += len(bends) - int(np.count_nonzero(off_line | is_coarse))
         compared += len(bends)
         if off_line.any():
             scatter.append(float(np.median(bends[off_line])))
