@@ -97,6 +97,21 @@ class CellColumn(NamedTuple):
             return np.isnan(self.values) if self.values.dtype.kind == "f" else np.zeros(len(self.values), bool)
         return np.array([text[-1:] not in _DIGITS and text.strip().lower() in MISSING for text in self.texts], bool)
 
+    def torn(self) -> npt.NDArray[np.bool_]:
+        """Return (n,) which cells are text in the place of a number, as a damaged line has it; none unless they are
+        rare, because a column of words is not one of readings.
+        """
+        nothing = np.zeros(self.rows, bool)
+        if self.values is not None or self.rows < FEWEST_WHOLE_ROWS:
+            return nothing
+        try:
+            list(map(float, self.texts))
+        except ValueError:
+            blank = self.blank()
+            is_torn = ~blank & np.array([not _is_number(text) for text in self.texts], bool)
+            return is_torn if np.count_nonzero(is_torn) <= MOST_TORN * self.rows else nothing
+        return nothing
+
     def where(self, kept: npt.NDArray[np.bool_]) -> CellColumn:
         """Return the selected cells."""
         if kept.all():
@@ -170,7 +185,8 @@ class TextTable:
         cells of that row may be words, for example the `frame_id` of a ROS message.
         """
         row = self._row()
-        header = next(csv.reader([self._comment], delimiter=self._layout.delimiter, skipinitialspace=True), [])
+        text = header_text(self._comment)
+        header = next(csv.reader([text], delimiter=self._layout.delimiter, skipinitialspace=True), [])
         kinds = self._layout.kind_columns
         numbers_ = [_is_number(cell) for at, cell in enumerate(row) if at not in kinds]
         if len(header) != len(row) or 2 * sum(numbers_) < len(numbers_) or any(map(_is_number, header)):
@@ -299,9 +315,17 @@ class TextTable:
         ]
 
 
+def header_text(comment: str) -> str:
+    """Return the names of columns in a comment: the part in quotes if a remark precedes it, 'Format: "a,b,c"'."""
+    head, quote, rest = comment.partition('"')
+    is_quoted = quote and rest.rstrip().endswith('"') and rest.count('"') == 1 and "," not in head
+    return rest.rstrip().removesuffix('"') if is_quoted else comment
+
+
 _PREFIX = re.compile(r"(?P<word>[A-Za-z_]\w{0,15})\s*[:>]\s*(?=[-+.\d])(?P<rest>[^:=]*)")
 _MONITOR_STAMP = re.compile(r"(\d\d:\d\d:\d\d[.,]\d+) -> ")
 _CHECKSUM = re.compile(r"(\$.*)\*[0-9A-Fa-f]{2}")
+_RAZOR = re.compile(r"#([AMG]-[RC]|YPRA?G?|YPRAMG)=([-+.\d]+(?:,[-+.\deE]+){2,})")
 _NOVATEL = re.compile(r"[#%]([A-Z0-9]+A,[^;]*);(.*)\*[0-9A-Fa-f]{8}")
 
 
@@ -336,9 +360,14 @@ def is_rule(line: str) -> bool:
 
 
 def plain_sentence(line: str) -> str:
-    """Return a sentence of NovAtel's receivers, which begins like a comment, as cells that commas separate."""
-    if line.startswith(("#", "%")) and (sentence := _NOVATEL.fullmatch(line)) is not None:
-        return f"{sentence[1]},{sentence[2]}"
+    """Return a sentence that begins like a comment, of NovAtel's receivers or Razor's boards ("#A-R=1.5,2,255"), as
+    cells that commas separate.
+    """
+    if line.startswith(("#", "%")):
+        if (sentence := _NOVATEL.fullmatch(line)) is not None:
+            return f"{sentence[1]},{sentence[2]}"
+        if (sentence := _RAZOR.fullmatch(line)) is not None:
+            return f"{sentence[1]},{sentence[2]}"
     return line
 
 

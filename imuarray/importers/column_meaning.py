@@ -27,6 +27,7 @@ from imuarray.importers.proposal import (
     Proposal,
     add_own_time,
     increases,
+    is_clock,
     propose_barometer,
     propose_sensor,
     propose_thermometer,
@@ -59,8 +60,8 @@ _COMPASS: Mapping[str, str] = {"EW": "E", "NS": "N", "UD": "Z"}
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
 _ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
-_VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\[?\*\]?|[bl]e\[\*\]", re.IGNORECASE)
-"""Names of columns that only state that they contain values, for example those of Android's SensorEvent."""
+_VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\[?\*\]?|[bl]e\[\*\]|\*[._ -]?axis( ?[\[(].*[\])])?", re.IGNORECASE)
+"""Names of columns that only state that they contain values or axes, for example those of Android's SensorEvent."""
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _INSTANCE = re.compile(
     r"i|id|imu|instance|type|(event\.)?(sensor|device|imu|unit)[ _.]?(id|no|nr|number|index|type)?", re.IGNORECASE
@@ -136,6 +137,8 @@ def propose_columns(
         timed = np.isfinite(columns[time])
         columns = columns if timed.all() else [column[timed[: len(column)]] for column in columns]
     taken = set() if time is None else {time}
+    if not names:
+        taken |= {index for index, values in enumerate(columns) if is_clock(values)}
     for quaternion in _attitudes(names, columns):
         proposal.attitudes.append([column_label(names, index) for index in quaternion])
         quaternion_columns = ", ".join(proposal.attitudes[-1])

@@ -23,11 +23,14 @@ _BEGIN = r"(?<![a-z])"
 """Pattern before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
 QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
     ("magnetic_field", re.compile(rf"mag|compass|field|{_BEGIN}[mihb]\*", re.IGNORECASE)),
-    ("angular_rate", re.compile(rf"gyr|rot|omega|{_BEGIN}ang(?!le)|rate(?!d)|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
-    ("specific_force", re.compile(rf"acc|beschl|force|{_BEGIN}(?:l?a|g?_?f)\*|gravity|lin", re.IGNORECASE)),
+    (
+        "angular_rate",
+        re.compile(rf"gyr|rot|omega|{_BEGIN}ang(?!le)|rate(?!d)|{_BEGIN}(?:[gwpr]|rg|gy_?)\*", re.IGNORECASE),
+    ),
+    ("specific_force", re.compile(rf"acc|beschl|force|{_BEGIN}(?:l?a|ac_?|g?_?f)\*|gravity|lin", re.IGNORECASE)),
 )
 TIME = re.compile(r"time|zeit|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
-TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
+TEMPERATURE = re.compile(r"temp|^tmp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
 PRESSURE = re.compile(r"press|baro|^p$", re.IGNORECASE)
 ATTITUDE = re.compile(r"rot(ation)?[._ ]?vec|quat|attitude|orientation|euler", re.IGNORECASE)
 """Names of attitudes that a program computed."""

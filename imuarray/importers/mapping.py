@@ -43,7 +43,7 @@ _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fal
 ISO = "iso8601"
 """Unit of times that are written as date and time (ISO 8601); they count from 1970."""
 
-DATE_DIRECTIVES = re.compile(r"%[YymdjbBHIMSpfz]")
+DATE_DIRECTIVES = re.compile(r"%[YymdjaAbBHIMSpfz]")
 """Directives of a date and time that a unit of times may have, as `datetime.strptime` understands them."""
 
 NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1, "d": 86_400_000_000_000}

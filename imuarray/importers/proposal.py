@@ -18,8 +18,15 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.importers.column_names import COMPUTED, INDEX, SPELLINGS, TIME, column_label, unit_in
 from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT
-from imuarray.importers.plausibility import RATES_HZ, USUAL_RATES_HZ
-from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
+from imuarray.importers.plausibility import FEWEST_ROWS, RATES_HZ, USUAL_RATES_HZ
+from imuarray.importers.resolution import (
+    SAMPLE_ROWS,
+    SENSITIVITIES,
+    WIDE_SENSITIVITIES,
+    common_step,
+    named_step,
+    usual_bits,
+)
 from imuarray.importers.text_layout import TextLayout, quoted
 from imuarray.importers.triad_behaviour import NEAR_GRAVITY, fit_sphere
 from imuarray.printable import printable
@@ -216,6 +223,12 @@ _MOSTLY_KNOWN = 0.5
 """Least share of rows with a time: events between readings may have none."""
 
 
+def is_clock(values: Floats) -> bool:
+    """Return whether values (n,) never fall and mostly rise, as a second clock or counter of a table does."""
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 1 and bool((steps >= 0).all()) and float(np.mean(steps > 0)) > _MOSTLY_KNOWN
+
+
 def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int) -> list[str]:
     """Return the lines of `[time]` for whole seconds in the column `index` and their fraction in the next one, by names
     such as sec and nsec; otherwise an empty list.
@@ -285,6 +298,8 @@ def time_lines(
                 " the rate in rate_hz"
             )
         return [rate_line(proposal)]
+    if stated_unit not in NS_PER_UNIT and is_number and bool((steps == np.rint(steps)).all()):
+        return _counter_lines(name, column_label(names, index), values, proposal)
     unit, step = _unit_of_time(stated_unit, values)
     rate_hz = _rate_hz(unit, step)
     inferred, _ = _unit_of_time("", values)
@@ -294,9 +309,47 @@ def time_lines(
             f"column {name!r} says {unit}, which would be {rate_hz:.3g} rows a second; {inferred} is assumed"
         )
         unit, rate_hz = inferred, other_hz
+    if not stated_unit and len(steps) >= FEWEST_ROWS and bool((steps == 1).all()):
+        proposal.doubts.append(
+            f"column {name!r} rises by 1 from row to row: it may count the rows; {unit} are assumed, which would be"
+            f" {rate_hz:.4g} rows a second"
+        )
     mark = "" if stated_unit == unit else "   # ?"
     lines.append(f'unit = "{unit}"{mark or "   #"} {rate_hz:.4g} rows a second, if so')
     return lines + _restarts(values)
+
+
+def _counter_lines(name: str, label: str, values: Floats, proposal: Proposal) -> list[str]:
+    """Return the lines of `[time]` for a counter of rows (n,) with missing numbers: its times at the stated or assumed
+    rate, if most steps are equal; otherwise the rate only, because rows of other kinds have the other numbers.
+    """
+    steps = np.diff(values)
+    forward = steps[steps > 0]
+    usual = float(np.median(forward)) if len(forward) else 1.0
+    is_regular = float(np.mean(forward == usual)) >= _REGULAR_COUNTER
+    rate_hz = proposal.layout.rate_hz
+    if rate_hz is None or not is_regular:
+        numbers = "the rows, some of which are missing" if is_regular else "rows of other kinds, too"
+        assumed = "100 rows a second are assumed" if rate_hz is None else f"{rate_hz:g} rows a second are stated"
+        proposal.doubts.append(
+            f"column {name!r} numbers {numbers}, and says nothing about time: {assumed}; enter the rate in rate_hz"
+            + (", or the time of a count in ticks" if is_regular else "")
+        )
+    if not is_regular:
+        return [rate_line(proposal)]
+    source = (
+        "   # ? 100 rows a second"
+        if rate_hz is None
+        else f"   # stated by {printable(proposal.layout.rate_source)[:80]}"
+    )
+    tick_s = 1 / ((rate_hz or 100.0) * usual)
+    return [f"column = {label}", 'unit = "s"', f"ticks = {tick_s:.12g}{source}", *_restarts(values)]
+
+
+_REGULAR_COUNTER = 0.75
+"""Least share of equal steps of a counter of rows of which some are missing; a counter that rows of several kinds share
+has steps of several sizes.
+"""
 
 
 def _counts_rows(steps: Floats) -> bool:
@@ -366,8 +419,12 @@ nanoseconds.
 NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
 _PRESSURES = {"Pa": 1e5, "hPa": 1e3, "kPa": 1e2, "bar": 1.0}
 """Air pressure at sea level in each unit."""
-_COUNTS_OF_MAGNETOMETER = 1090.0
-"""Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
+_MAGNETOMETERS = ((333.3, 12.0), (666.7, 48.0), (1090.0, 1.3), (3000.0, 8.0), (6842.0, 4.0), (12_000.0, 2.0))
+"""Counts per gauss and range in gauss of common magnetometers: AK8975, AK8963, HMC5883L after power-up (HMC-21),
+QMC5883L (8 gauss), LIS3MDL (4 gauss), QMC5883L (2 gauss).
+"""
+_EARTH_GAUSS = 0.45
+"""Usual size of the earth's field in gauss."""
 COUNTS_OF_GYROSCOPE = 131.0
 _CODES_16 = 1 << 16
 _LEAST_MIDDLE = 128.0
@@ -520,10 +577,11 @@ def _counted(quantity: str, length: float, largest: float) -> list[str]:
             "range = 250   # ?",
             f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {usual_scales}",
         ]
+    per_gauss, range_gauss = min(_MAGNETOMETERS, key=lambda scale: abs(ln(max(length, 1.0) / scale[0] / _EARTH_GAUSS)))
     return [
         'unit = "gauss"',
-        "range = 1.3   # ?",
-        f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
+        f"range = {range_gauss:g}   # ?",
+        f"sensitivity = {per_gauss:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
     ]
 
 
@@ -538,6 +596,8 @@ def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
         largest = float(np.abs(values).max(initial=0.0))
         if largest > _MOST_DPS:
             return [f'unit = "mdps"   # ? from the size of the values: up to {largest:.4g}']
+        if named := _unit_of_codes(values):
+            return [f'unit = "{named[0]}"   # ? the step of its values is 1/{named[1]:.4g} dps, as that of usual chips']
         unit = "rad/s" if force_unit == "m/s2" else "dps"
         return [f'unit = "{unit}"   # ? {UNIT_UNKNOWN}: the import report compares rotations, if there are any']
     if quantity == "specific_force":
@@ -547,6 +607,27 @@ def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
     unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
     return [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
 
+
+def _unit_of_codes(rates: Floats) -> tuple[str, float] | None:
+    """Return the unit in which the step of rates (n, 3) is that of a chip in a data sheet, and its counts per dps; None
+    unless this is so in exactly one unit.
+    """
+    axes = list(rates[:SAMPLE_ROWS].T)
+    step = common_step(axes)
+    units = []
+    for unit in ("dps", "rad/s"):
+        sensitivities = [value * UNITS_OF["angular_rate"][unit] for value in SENSITIVITIES["angular_rate"]]
+        grid = named_step(axes, sensitivities) if step is None else step
+        if grid is None:
+            continue
+        per_unit = min(sensitivities, key=lambda value: abs(value * grid - 1))
+        if abs(per_unit * grid - 1) < _NEAR_STEP:
+            units.append((unit, per_unit / UNITS_OF["angular_rate"][unit]))
+    return units[0] if len(units) == 1 else None
+
+
+_NEAR_STEP = 2e-3
+"""Largest relative difference of a step from that of a data sheet for a decision between units."""
 
 _MOST_DPS = 6000.0
 """Readings in dps that no gyroscope exceeds; larger values are in thousandths."""

@@ -27,7 +27,11 @@ RANGES = {
 SENSITIVITIES = {
     "specific_force": tuple(float(1 << power) for power in range(5, 16)),
     "angular_rate": tuple(131.0 / (1 << power) for power in range(5))
-    + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0)),
+    + tuple(262.4 / (1 << power) for power in range(5))
+    + tuple(262.144 / (1 << power) for power in range(5))
+    + tuple(128.0 / (1 << power) for power in range(4))
+    + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0))
+    + (14.375,),
     "magnetic_field": (),
 }
 """Counts per unit in data sheets: a measured grid within `NEAR` of one of these is assumed to be equal to it."""
@@ -48,6 +52,9 @@ FULL_SPAN = 1.05 * 32768
 """Largest number of counts in the range of a 16-bit chip; the range may be slightly larger than that of the output. A
 finer grid is that of the digits of a text.
 """
+
+BEYOND_RANGE = 1.002
+"""Ratio of the largest reading to the range of its chip: 32767 / 131 is 250.13 dps in a range of 250 dps."""
 
 SAMPLE_ROWS = 20_000
 """Number of rows from which the grid is estimated."""
@@ -74,16 +81,41 @@ _DIVISORS = (1, 2, 3)
 
 def common_step(axes: Sequence[Floats]) -> float | None:
     """Return the step of a grid on which the values of all axes lie: a grid through zero, or, for readings less a bias,
-    a grid with a separate offset on each axis; None without one.
+    a grid with a separate offset on each axis, if it is coarser; None without one.
     """
     step = grid_step(np.concatenate(axes))
-    if step is not None:
-        return step
     steps = [grid_step(values - values[0]) for values in axes if len(values)]
-    found_steps = [step for step in steps if step is not None]
-    if len(found_steps) < len(axes) or max(found_steps) > (1 + NEAR) * min(found_steps):
+    known = [each for each in steps if each is not None]
+    if len(known) < len(axes) or max(known) > (1 + NEAR) * min(known):
+        return step
+    of_axes = float(np.median(known))
+    return of_axes if step is None or of_axes > _COARSER * step else step
+
+
+_COARSER = 1.5
+"""Least ratio of the steps of single axes to that of all axes together at which the axes have offsets of their own."""
+
+
+def named_step(axes: Sequence[Floats], sensitivities: Sequence[float]) -> float | None:
+    """Return the step of the least of the `sensitivities` of data sheets on whose grid the values of all axes lie, each
+    step with a value of its own; None without one. Digits that are only a few times finer than the grid hide its step
+    from `grid_step`.
+    """
+    distinct = np.unique(np.concatenate(axes))
+    distinct = distinct[np.isfinite(distinct)]
+    if len(distinct) < _FEWEST_NAMED:
         return None
-    return float(np.median(found_steps))
+    for sensitivity in sorted(sensitivities):
+        counts = distinct * sensitivity
+        number = np.rint(counts)
+        is_on_grid = float(np.mean(np.abs(counts - number) < _OFF_GRID)) > _ON_GRID
+        if is_on_grid and len(np.unique(number)) > _ON_GRID * len(distinct):
+            return _refined(distinct, 1 / sensitivity)
+    return None
+
+
+_FEWEST_NAMED = 16
+"""Fewest different values for a step from a data sheet: by chance they are on one of twenty grids once in 1e10."""
 
 
 def grid_step(values: Floats) -> float | None:
@@ -150,7 +182,7 @@ def resolution_of(
     `largest` of all values; `range_` and `sensitivity` are None if unknown.
     """
     if range_ is None:
-        range_ = next((value for value in RANGES[quantity] if largest <= value), largest)
+        range_ = next((value for value in RANGES[quantity] if largest <= value * BEYOND_RANGE), largest)
     if sensitivity is None:
         return _inferred(quantity, axes, largest, range_)
     counts = np.concatenate(axes) * sensitivity
@@ -182,7 +214,7 @@ def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: flo
     widest = max(range_, largest)
     coarse = INT16[1] / widest
     noise = _noise(axes)
-    step = common_step(axes)
+    step = common_step(axes) or named_step(axes, SENSITIVITIES[quantity])
     if step is not None:
         sensitivities = (*SENSITIVITIES[quantity], *WIDE_SENSITIVITIES[quantity])
         named = next((value for value in sensitivities if abs(value * step - 1) < NEAR), None)

@@ -26,7 +26,7 @@ from imuarray.importers.column_meaning import (
     propose_kind,
     words_of_kind,
 )
-from imuarray.importers.column_names import is_of_a_quantity, quantity_of, units_below_header
+from imuarray.importers.column_names import TIME, is_of_a_quantity, quantity_of, units_below_header
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.proposal import Item, Proposal, increases, is_time_of_rows, time_lines
 from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
@@ -232,10 +232,14 @@ def _dates_of_rows(rows: Sequence[Sequence[str]], names: Sequence[str], columns:
     the time of each row.
     """
     dates = dates_of(rows)
-    if not dates or len({row[min(dates)] for row in rows}) >= _FEW_DATES * len(rows):
+    different = len({row[min(dates)] for row in rows}) if dates else 0
+    if not dates or different == len(rows):
         return dates
     named = list(zip(names, columns, strict=False))
-    is_timed = any(is_time_of_rows(name, values) for name, values in named)
+    if different >= _FEW_DATES * len(rows):  # rounded dates, unless another column has times of its own for all rows
+        is_timed = any(TIME.search(name) and len(np.unique(values)) > different for name, values in named)
+    else:
+        is_timed = any(is_time_of_rows(name, values) for name, values in named)
     return {} if is_timed else dates
 
 

@@ -272,8 +272,10 @@ def _barometer_header(item: BarometerTable) -> SensorHeader:
 
 
 def _missing(cells: Sequence[CellColumn]) -> Booleans:
-    """Return (n,) rows in which at least one cell of a sensor has no value: a triad with two axes is not a reading."""
-    return np.asarray(np.any([cell.blank() for cell in cells], axis=0), bool)
+    """Return (n,) rows in which at least one cell of a sensor has no value, or the text of a damaged line: a triad with
+    two axes is not a reading.
+    """
+    return np.asarray(np.any([cell.blank() | cell.torn() for cell in cells], axis=0), bool)
 
 
 def _blank(cells: Sequence[CellColumn]) -> Booleans:

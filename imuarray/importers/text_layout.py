@@ -20,6 +20,7 @@ from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
 from imuarray.importers.cells import (
     WINDOWS_1252,
+    header_text,
     is_rule,
     is_unit_row,
     is_utf16,
@@ -115,7 +116,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         layout.skip_rows, layout.rate_hz, layout.rate_source = stated
         layout.named = False
         return layout, [], [row for _, row in rows[2:]][:LOOKED_AT_ROWS]
-    before = [(number, split_cells(line, mark)) for number, line in remarks if number < rows[begin][0]]
+    before = [(number, split_cells(header_text(line), mark)) for number, line in remarks if number < rows[begin][0]]
     names = _header(layout, before, rows, begin, whole)
     least = min(len(rows[begin][1]), len(names) or len(rows[begin][1]))
     return layout, names, [row for _, row in rows[begin:] if len(row) >= least][:LOOKED_AT_ROWS]
@@ -299,6 +300,7 @@ _DATES: Sequence[tuple[str, str]] = (
     (r"(1[3-9]|2\d|3[01])/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%d/%m/%Y %H:%M:%S.%f"),
     (r"\d\d?/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%m/%d/%Y %H:%M:%S.%f"),
     (r"\d{8}T\d{6}", "%Y%m%dT%H%M%S.%f"),
+    (r"[A-Z][a-z]{2} [A-Z][a-z]{2} [ \d]\d \d\d:\d\d:\d\d \d{4}$", "%a %b %d %H:%M:%S %Y"),
     (r"\d\d?:\d\d:\d\d", "%H:%M:%S.%f"),
     (r"\d\d?:\d\d\.\d+$", "%M:%S.%f"),
 )
@@ -368,9 +370,13 @@ SENTENCES: Mapping[str, list[str]] = {
     "RAWIMUSA": [*_HEAD[:2], *_INCREMENTS],
     "RAWIMUXA": [*_HEAD, "info", "type", *_INCREMENTS],
     "RAWIMUSXA": [*_HEAD[:2], "info", "type", *_INCREMENTS],
-}
-"""Columns of sentences after their names: VectorNav's sensors (VN-100 user manual, ASCII messages), and NovAtel's
-RAWIMU (OEM7 commands and logs reference manual), which has increments in the order z, -y, x.
+    **{f"{letter}-{form}": [f"{quantity}_{axis}" for axis in "xyz"]
+       for letter, quantity in (("A", "acc"), ("M", "mag"), ("G", "gyro")) for form in "RC"},
+    "YPRAG": ["yaw", "pitch", "roll", "acc_x", "acc_y", "acc_z", "gyro_x [rad/s]", "gyro_y [rad/s]", "gyro_z [rad/s]"],
+}  # fmt: skip
+"""Columns of sentences after their names: VectorNav's sensors (VN-100 user manual, ASCII messages), NovAtel's RAWIMU
+(OEM7 commands and logs reference manual), which has increments in the order z, -y, x, and Razor's boards (Razor AHRS
+firmware).
 """
 
 INVERTED_Y = frozenset({"RAWIMUA", "RAWIMUSA", "RAWIMUXA", "RAWIMUSXA"})

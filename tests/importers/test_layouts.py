@@ -385,7 +385,7 @@ def test_units_after_an_underscore_are_read(name: str, unit: str) -> None:
 
 def test_a_sensor_with_a_column_of_two_axes_only_is_named() -> None:
     names = ["t", "AccX", "AccY", "AccZ", "gx_dps", "gz_dps", "max_x"]
-    columns = [np.arange(40.0), *np.tile([0.01, 0.02, 1.0, 3.0, 4.0, 5.0], (40, 1)).T]
+    columns = [np.arange(40.0) * 10, *np.tile([0.01, 0.02, 1.0, 3.0, 4.0, 5.0], (40, 1)).T]
     doubts = propose_columns(TextLayout(), names, columns, {}).doubts
     assert doubts == ['left out: "gx_dps", "gz_dps": no column of axis y; a sensor needs three axes']
 
