@@ -163,11 +163,11 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
 
 def _print_result(summary: ImportSummary, output: Path, as_json: bool) -> None:
     """Print what was imported and its properties, as text or JSON."""
-    from imuarray.importers.plausibility import report_of
+    from imuarray.importers.plausibility import store_report
     from imuarray.log import open_log
 
+    report = store_report(output, summary.remarks)
     with open_log(output) as log:
-        report = report_of(log)
         messages = {event.kind: event.message for event in log.events}
     if as_json:
         print_json(

@@ -64,6 +64,7 @@ def describe(log: Log) -> dict[str, Any]:
             for event in sorted(log.events, key=lambda event: event.time_ns)
         ],
         "truth": log.truth is not None,
+        "import_report": None if (report := log.import_report) is None else report._asdict(),
     }
 
 
@@ -145,7 +146,7 @@ def _print(summary: dict[str, Any]) -> None:
         _print_line(f"  {summary['state']}: {readable} are shown{hint}")
     for loss in summary["losses"]:
         _print_line(f"  {loss}")
-    if imported:
+    if imported and summary["import_report"] is None:
         _print_line(f"  `imuarray report {summary['log']} -o report.html` lists the doubts about the import, if any")
     if summary["frame_rate_hz"]:
         missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
@@ -172,6 +173,10 @@ def _print(summary: dict[str, Any]) -> None:
         _print_line(f"  phase {phase['name']:12} {start_s:9.1f} s to {end_s:9.1f} s{up_text}")
     for event in summary["events"][:20]:
         _print_line(f"  event {event['time_s'] - zero_s:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
+    for mark, kinds in (("~", ("facts", "remarks", "quirks")), ("?", ("doubts",))):
+        for kind in kinds if summary["import_report"] else ():
+            for text in summary["import_report"][kind]:
+                _print_line(f"  {mark} {text}")
     if len(summary["events"]) > 20:
         _print_line(f"  and {len(summary['events']) - 20} more events (--json lists all)")
 

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import log as ln
+from os import PathLike
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -30,8 +31,11 @@ from imuarray.characterise.findings import SURE, shares_times
 from imuarray.characterise.processing import NO_GRAVITY, find_filters, find_interpolation
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally, RunTally
+from imuarray.importers.code_errors import find_jumps
 from imuarray.importers.triad_behaviour import fit_sphere
-from imuarray.log import Log, SensorLog
+from imuarray.log import Log, SensorLog, open_log
+from imuarray.log.format import ASSUMED, RESOLUTION
+from imuarray.log.import_report import ImportReport, store_import_report
 from imuarray.log.row_timing import GAP, RowTiming, row_timing
 from imuarray.printable import counted, listed, percent
 from imuarray.units import INERTIAL, STANDARD_GRAVITY, Quantity
@@ -68,9 +72,9 @@ EARTH_GAUSS = (0.15, 1.0)
 LEAST_OFFSET = 64.0
 """Least code that is assumed to be the middle of an unsigned converter's range: with 8 bits it is 128."""
 
-RATES_HZ = (1.0, 20_000.0)
-"""Plausible rates of inertial and magnetic sensors: no chip is faster, and a lower rate is due to a wrong unit of
-time.
+RATES_HZ = (0.5, 20_000.0)
+"""Plausible rates of inertial and magnetic sensors: no chip is faster, and a rate below that of a program that reads
+once a second is due to a wrong unit of time.
 """
 
 USUAL_RATES_HZ = (5.0, 5000.0)
@@ -144,6 +148,12 @@ AXIS_HELD = 64
 OTHER_RUNS = 8.0
 """Fewest consecutive equal readings of a single axis that are reported as a stop (`AXIS_HELD`), and least ratio of
 their number to that of its next longest run: an axis at rest with little noise often repeats a reading.
+"""
+
+OTHER_CODES = 5
+MOST_COMPARED = 4096
+"""Fewest different codes of another axis during such a stop, in at most `MOST_COMPARED` rows: an axis whose noise is
+less than a count keeps its code at rest, and so do the others nearly.
 """
 
 FITS = 0.95
@@ -268,6 +278,16 @@ def report_of(log: Log) -> Report:
     return Report(tuple(_facts(examination.levels)), examination.quirks.all(), examination.doubts.all())
 
 
+def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> Report:
+    """Store the report on an imported log, and the importer's `remarks`, in the log, and return the report; LogError if
+    the log cannot be read or written.
+    """
+    with open_log(output) as log:
+        report = report_of(log)
+    store_import_report(output, ImportReport(report.facts, tuple(remarks), report.quirks, report.doubts))
+    return report
+
+
 @dataclass
 class _Examination:
     """Observations of single sensors: sentences, their `levels` at rest by wording, and the windows of sensors with
@@ -360,7 +380,7 @@ class _Windows:
         """Return which windows (w,) are at rest, relative to the quietest tenth."""
         if len(self.spread) == 0:
             return np.zeros(0, bool)
-        return np.asarray(self.spread <= STILL * np.quantile(self.spread, QUIET))
+        return np.asarray(self.spread <= STILL * np.quantile(self.spread, QUIET, method="lower"))
 
     def knocks(self) -> str:
         """Describe the knocks of an accelerometer that is mostly at rest; "" without any."""
@@ -382,6 +402,8 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
         return None, []
     length = float(np.median(np.linalg.norm(windows.mean[still], axis=1)))
     if sensor.quantity == "specific_force":
+        if weightless := _weightless(sensor):
+            return None, [weightless]
         shaken = float(np.median(windows.spread[still])) > SHAKEN * length
         if abs(length - 1) <= GRAVITY_OFF:
             return ("measures {} g" if shaken else "measures {} g at rest", length), []
@@ -411,6 +433,31 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
     if noise * sensor.sensitivity > RESOLVED_LSB and noise < QUIET_DPS:
         return None, [f"{level}, less than MEMS gyroscopes have: the columns may be in rad/s, not dps"]
     return ("reads {} dps at its quietest, which is its bias", length), []
+
+
+def _weightless(sensor: SensorLog) -> str:
+    """Return the doubt about an accelerometer in motion whose force averages to zero and often vanishes, as an
+    acceleration without gravity does; "" about others.
+    """
+    forces = np.asarray(sensor.counts[:MOST_COMPARED], float) / sensor.sensitivity
+    length = np.linalg.norm(forces, axis=1)
+    usual = float(np.median(length))
+    is_centred = float(np.linalg.norm(forces.mean(axis=0))) < _CENTRED * usual
+    if len(forces) < _FEWEST_MOVED or usual < NO_GRAVITY or not is_centred:
+        return ""
+    if float(np.quantile(length, 0.05)) > _VANISHING * usual:
+        return ""
+    return (
+        f"its force averages to zero and often vanishes (half of its readings are below {usual:.3g} g): gravity may"
+        " have been removed (linear acceleration), and the unit may be wrong"
+    )
+
+
+_FEWEST_MOVED = 200
+_CENTRED, _VANISHING = 0.3, 0.5
+"""Fewest rows for this doubt; largest length of the mean force, and of the smallest twentieth of the forces, as shares
+of the median length (0.39 for normal deviates). The length of gravity in a sensor that turns hardly changes.
+"""
 
 
 def _explained(ratio: float, units: Mapping[float, str], most: float = NEAR_FACTOR) -> str:
@@ -510,6 +557,8 @@ class _Codes:
         for run in runs:
             run.finish()
         self.runs = runs
+        self.are_codes = sensor.attributes.get(RESOLUTION) != ASSUMED
+        """False if the counts are values that the import rounded."""
         self.seen, self.repeats = histograms, tally.result()
         self.held = _held_rows(sensor, self.repeats)
         """Rows that repeat one reading for longer than chance or a slow chip can explain; an empty slice without
@@ -528,7 +577,7 @@ class _Codes:
         on_zero = (
             all(bool((codes.codes[np.argmax(codes.counts)] % step) == 0) for codes in self.seen) if step else False
         )
-        if step > 1:
+        if step > 1 and self.are_codes:
             yield "only even codes" if step == 2 and on_zero else f"only every {step}th code"
         if self.held.stop == 0 and self.repeats.new_share < 1 - STALE_SHARE:
             yield f"{percent(1 - self.repeats.new_share, 1)} of the rows repeat the previous row without new readings"
@@ -541,7 +590,10 @@ class _Codes:
                 continue
             if run.longest >= self.repeats.longest * OTHER_RUNS:
                 code = int(sensor.counts[run.first_row, "xyz".index(axis)])
-                if code not in (int(codes.codes[0]), int(codes.codes[-1])):
+                rows = slice(run.first_row, run.first_row + min(run.longest, MOST_COMPARED))
+                others = np.delete(np.asarray(sensor.counts[rows]), "xyz".index(axis), axis=1)
+                is_coarse = max(len(np.unique(column)) for column in others.T) < OTHER_CODES
+                if code not in (int(codes.codes[0]), int(codes.codes[-1])) and not is_coarse:
                     yield _held_axis_in_words(sensor, axis, run)
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
@@ -558,6 +610,7 @@ class _Codes:
         if self.held.stop and not self.is_constant:
             yield _held_in_words(sensor, self.held)
         yield from self._held_axes(sensor)
+        yield from find_jumps(sensor)
         limit = OVER_RANGE * sensor.range * sensor.sensitivity
         most = max(int(np.abs(codes.codes[[0, -1]]).max()) for codes in self.seen)
         if limit and most > limit:
@@ -718,6 +771,9 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
     forces = [name for name in _names_of(log, "specific_force", windows) if windows[name].has_gravity]
     for name in _names_of(log, "angular_rate", windows) if forces else ():
         first = forces[0]
+        if (delay := _delay(short[first], short[name])) is not None:
+            yield name, delay.sentence(first)
+            continue
         pairs = (short[first], short[name]), (windows[first], windows[name])
         candidates = [(_factor(each), each) for pair in pairs if (each := _rotations(*pair)) is not None]
         if not candidates:
@@ -776,13 +832,14 @@ class _Rotations(NamedTuple):
     width_s: float
 
 
-def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
-    """Return the rotations that an accelerometer and a gyroscope measured in the same windows; None if they are too
-    few.
+def _rotations(force: _Windows, rate: _Windows, late: int = 0, most: int | None = None) -> _Rotations | None:
+    """Return the rotations that an accelerometer and a gyroscope measured in the same windows (the first `most` of
+    them), if the gyroscope is `late` by that many windows; None if they are too few.
     """
     if force.width_ns != rate.width_ns:
         return None
-    common, force_rows, rate_rows = np.intersect1d(force.number, rate.number, return_indices=True)
+    both = np.intersect1d(force.number[:most], rate.number[:most] - late, return_indices=True)
+    common, force_rows, rate_rows = both
     if len(common) < FEWEST_TURNS:
         return None
     f, omega = force.mean[force_rows], rate.mean[rate_rows] * np.pi / 180
@@ -798,6 +855,64 @@ def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
     if np.count_nonzero(np.linalg.norm(turned, axis=1) >= TURNED) < FEWEST_TURNS:
         return None
     return _Rotations(turned, middle, rates, force.width_ns * 1e-9)
+
+
+class _Delay(NamedTuple):
+    """The delay of a gyroscope against an accelerometer in s, and the correlations of their rotations with it and
+    without it.
+    """
+
+    delay_s: float
+    with_delay: float
+    without: float
+
+    def sentence(self, first: str) -> str:
+        """The delay against the accelerometer `first` as a sentence."""
+        direction = "later" if self.delay_s > 0 else "earlier"
+        return (
+            f"its rotations come {abs(self.delay_s):.2g} s {direction} than those of {first} (correlation"
+            f" {self.with_delay:.2f} with this delay, {self.without:.2f} without): a buffer or another clock shifts the"
+            " times of one of them"
+        )
+
+
+def _delay(force: _Windows, rate: _Windows) -> _Delay | None:
+    """Return the delay of a gyroscope against an accelerometer, if it is at least `LATE_S` and explains their rotations
+    better than none; None otherwise.
+    """
+    at_once = _rotations(force, rate, most=_MOST_WINDOWS)
+    if at_once is None:
+        return None
+    without = _factor(at_once)[1]
+    if without > _IN_TIME:
+        return None
+    windows = np.arange(-LATE_WINDOWS, LATE_WINDOWS + 1)
+    by_delay = [_rotations(force, rate, int(late), _MOST_WINDOWS) for late in windows]
+    fits = [(0.0, 0.0) if each is None else _factor(each) for each in by_delay]
+    correlations = np.array([correlation if factor > 0 else 0.0 for factor, correlation in fits])
+    best = int(np.argmax(correlations))
+    if correlations[best] < max(FOLLOWS, without + _LATER_FIT) or not 0 < best < len(windows) - 1:
+        return None
+    before, at, after = correlations[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    delay_s = (windows[best] + (0.5 * (before - after) / bend if bend else 0.0)) * force.width_ns * 1e-9
+    return _Delay(float(delay_s), float(at), without) if abs(delay_s) >= LATE_S else None
+
+
+LATE_S = 0.1
+"""Least delay in s of a gyroscope against an accelerometer that is reported: filters of chips delay by less."""
+
+LATE_WINDOWS = 16
+"""Largest delay that is searched for, in windows of `TURN_WINDOW_S`."""
+
+_MOST_WINDOWS = 1 << 14
+"""Number of windows from the beginning, half an hour, in which a delay is searched for."""
+
+_IN_TIME = 0.97
+"""Correlation of the rotations above which the delay is small."""
+
+_LATER_FIT = 0.05
+"""Least increase of the correlation by a delay."""
 
 
 def _factor(rotations: _Rotations) -> tuple[float, float]:
@@ -885,6 +1000,7 @@ def _twins(log: Log) -> Iterator[tuple[str, str]]:
                 and all(_same(sensor, log[other], axis, axis) for axis in range(3))
             ):
                 yield name, f"has the same readings as {other}: are its columns named twice?"
+                break
 
 
 def _same(sensor: SensorLog, other: SensorLog, first: int, second: int) -> bool:

@@ -28,6 +28,7 @@ from imuarray.errors import LogError, LogWarning
 from imuarray.log.columns import TRACK_BYTES, ClockTrack, RowCache, Track, clocks_of, track_of
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase, Preamble
 from imuarray.log.hdf5_writer import changed_parts
+from imuarray.log.import_report import IMPORT_REPORT, ImportReport
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
@@ -174,6 +175,11 @@ class Log:
     def software(self) -> str:
         """The software that wrote the log."""
         return _text(self._file.attrs.get("software", ""))
+
+    @property
+    def import_report(self) -> ImportReport | None:
+        """The report on the import of this log; None if the log has none, or no valid one."""
+        return ImportReport.from_json(plain_value(self._file.attrs.get(IMPORT_REPORT)))
 
     @property
     def frame_rate_hz(self) -> float:
@@ -553,3 +559,6 @@ def _remarks(log: Log) -> Iterator[str]:
         yield f"{counted(log.damaged_commits, 'commit')} of its HDF5 file damaged: those rows are read from its journal"
     if log.is_rebuilt:
         yield f"its HDF5 file is {'damaged' if log.path.exists() else 'missing'}: all rows are read from its journal"
+    report = log.import_report
+    if report is not None and report.doubts:
+        yield f"its import raised {counted(len(report.doubts), 'doubt')}: `imuarray info {log.path}` lists them"

@@ -8,7 +8,17 @@ import pytest
 
 from imuarray.calibrate import gravity
 from imuarray.characterise import bands, codes, processing, rate_changes, result
-from imuarray.importers import arrays, cells, guess, plausibility, resolution, table, triad_behaviour
+from imuarray.importers import (
+    arrays,
+    cells,
+    code_errors,
+    guess,
+    plausibility,
+    proposal,
+    resolution,
+    table,
+    triad_behaviour,
+)
 
 CHOSEN = {
     (plausibility, "WINDOW_S"): 0.5,
@@ -48,6 +58,22 @@ CHOSEN = {
     (gravity, "FACE_COSINE"): 0.97,
     (bands, "RISES"): 1.35,
     (bands, "SLACK"): 1.08,
+    (plausibility, "RATES_HZ"): (0.5, 20_000.0),
+    (plausibility, "LATE_S"): 0.1,
+    (plausibility, "LATE_WINDOWS"): 16,
+    (plausibility, "OTHER_CODES"): 5,
+    (code_errors, "FEWEST_JUMPS"): 5,
+    (code_errors, "MOST_JUMPS"): 0.1,
+    (code_errors, "FEWEST_OVERFLOWS"): 2,
+    (code_errors, "_STANDS_OUT"): 6.0,
+    (code_errors, "_SAME_AMOUNT"): 0.15,
+    (code_errors, "_OVERFLOW"): 0.75,
+    (resolution, "BEYOND_RANGE"): 1.002,
+    (proposal, "_REGULAR_COUNTER"): 0.75,
+    (plausibility, "_VANISHING"): 0.5,
+    (plausibility, "_CENTRED"): 0.3,
+    (plausibility, "_IN_TIME"): 0.97,
+    (plausibility, "_LATER_FIT"): 0.05,
 }
 
 
