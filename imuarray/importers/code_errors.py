@@ -21,7 +21,7 @@ MOST_ROWS = 1 << 16
 _BLOCK_ROWS = 64
 """Rows whose noise is determined together, so that motion raises the limit where it occurs."""
 
-FEWEST_JUMPS = 5
+FEWEST_JUMPS = 8
 MOST_JUMPS = 0.1
 """Fewest single readings off by the same amount, and largest share of the readings: more are a signal."""
 
@@ -34,14 +34,26 @@ _LEAST_CHANGES = 0.05
 _SAME_AMOUNT = 0.15
 """Largest scatter (interquartile range) of the distances, as a share of their median."""
 
+_LEAST_BIT = 64.0
+_NEAR_BIT = 0.08
+"""Least size in counts of a lost bit that is told from noise, and largest relative difference of the median distance
+from it.
+"""
+
 _FULL = 0.05
 """Largest relative difference of the range in counts from half of all codes of 16 bits."""
 
 _OVERFLOW = 0.75
 """Least change from row to row that is an overflow, as a share of all codes."""
 
-FEWEST_OVERFLOWS = 2
-"""Fewest overflows that are reported: there and back."""
+_GOES_ON = 0.125
+_MOSTLY = 0.75
+"""Largest difference from the line through the two readings before, as a share of all codes, and least share of the
+jumps for which this holds. Shaking with the whole range has jumps of all sizes, a quarter of which fit by chance.
+"""
+
+FEWEST_OVERFLOWS = 4
+"""Fewest overflows that are reported."""
 
 _CODES_16 = 1 << 16
 
@@ -62,7 +74,8 @@ def find_jumps(sensor: SensorLog) -> Iterator[str]:
         amounts = _single_jumps(column)
         if FEWEST_JUMPS <= len(amounts) <= MOST_JUMPS * len(column):
             low, middle, high = np.quantile(amounts, (0.25, 0.5, 0.75))
-            if high - low <= _SAME_AMOUNT * middle:
+            power = 2.0 ** round(np.log2(middle))
+            if high - low <= _SAME_AMOUNT * middle and power >= _LEAST_BIT and abs(middle / power - 1) < _NEAR_BIT:
                 size = f" ({middle / sensor.sensitivity:.4g} {sensor.unit})" if sensor.sensitivity else ""
                 yield (
                     f"{counted(len(amounts), 'single reading')} of {axis} jump by about {middle:.0f} counts{size} and"
@@ -85,10 +98,15 @@ def _single_jumps(column: Floats) -> Floats:
 
 
 def _overflows(column: Floats) -> int:
-    """Return the number of overflows in the codes of 16 bits (n,) of an axis; codes at the ends are clipped."""
-    change = np.abs(np.diff(column)) > _OVERFLOW * _CODES_16
-    at_end = _at_end(column)
-    return int(np.count_nonzero(change & ~(at_end[1:] | at_end[:-1])))
+    """Return the number of overflows in the codes of 16 bits (n,) of an axis: jumps to the other end after which the
+    codes go on as before, if 65536 is added or subtracted. Codes at the ends are clipped.
+    """
+    before, last, code = column[:-2], column[1:-1], column[2:]
+    jump = code - last
+    is_jump = (np.abs(jump) > _OVERFLOW * _CODES_16) & ~_at_end(code) & ~_at_end(last)
+    goes_on = np.abs(code - np.sign(jump) * _CODES_16 - (2 * last - before)) < _GOES_ON * _CODES_16
+    count = int(np.count_nonzero(is_jump & goes_on))
+    return count if count > _MOSTLY * np.count_nonzero(is_jump) else 0
 
 
 def _at_end(column: Floats) -> Booleans:

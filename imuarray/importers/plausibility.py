@@ -442,8 +442,8 @@ def _weightless(sensor: SensorLog) -> str:
     forces = np.asarray(sensor.counts[:MOST_COMPARED], float) / sensor.sensitivity
     length = np.linalg.norm(forces, axis=1)
     usual = float(np.median(length))
-    is_centred = float(np.linalg.norm(forces.mean(axis=0))) < _CENTRED * usual
-    if len(forces) < _FEWEST_MOVED or usual < NO_GRAVITY or not is_centred:
+    is_centred = float(np.linalg.norm(forces.mean(axis=0))) < _CENTRED * min(usual, 1.0)
+    if len(forces) < _FEWEST_MOVED or not NO_GRAVITY <= usual < SHAKEN_LEVEL or not is_centred:
         return ""
     if float(np.quantile(length, 0.05)) > _VANISHING * usual:
         return ""
@@ -455,8 +455,9 @@ def _weightless(sensor: SensorLog) -> str:
 
 _FEWEST_MOVED = 200
 _CENTRED, _VANISHING = 0.3, 0.5
-"""Fewest rows for this doubt; largest length of the mean force, and of the smallest twentieth of the forces, as shares
-of the median length (0.39 for normal deviates). The length of gravity in a sensor that turns hardly changes.
+"""Fewest rows for this doubt; largest length of the mean force as a share of the median length and in g, and of the
+smallest twentieth of the forces as a share of the median length (0.39 for normal deviates). The length of gravity in a
+sensor that turns hardly changes.
 """
 
 

@@ -20,8 +20,8 @@ from imuarray.importers.column_names import COMPUTED, INDEX, SPELLINGS, TIME, co
 from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT
 from imuarray.importers.plausibility import FEWEST_ROWS, RATES_HZ, USUAL_RATES_HZ
 from imuarray.importers.resolution import (
+    RATE_SENSITIVITIES,
     SAMPLE_ROWS,
-    SENSITIVITIES,
     WIDE_SENSITIVITIES,
     common_step,
     named_step,
@@ -616,7 +616,7 @@ def _unit_of_codes(rates: Floats) -> tuple[str, float] | None:
     step = common_step(axes)
     units = []
     for unit in ("dps", "rad/s"):
-        sensitivities = [value * UNITS_OF["angular_rate"][unit] for value in SENSITIVITIES["angular_rate"]]
+        sensitivities = [value * UNITS_OF["angular_rate"][unit] for value in RATE_SENSITIVITIES]
         grid = named_step(axes, sensitivities) if step is None else step
         if grid is None:
             continue

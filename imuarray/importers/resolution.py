@@ -27,14 +27,18 @@ RANGES = {
 SENSITIVITIES = {
     "specific_force": tuple(float(1 << power) for power in range(5, 16)),
     "angular_rate": tuple(131.0 / (1 << power) for power in range(5))
-    + tuple(262.4 / (1 << power) for power in range(5))
-    + tuple(262.144 / (1 << power) for power in range(5))
-    + tuple(128.0 / (1 << power) for power in range(4))
-    + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0))
-    + (14.375,),
+    + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0)),
     "magnetic_field": (),
 }
 """Counts per unit in data sheets: a measured grid within `NEAR` of one of these is assumed to be equal to it."""
+
+RATE_SENSITIVITIES = (
+    *SENSITIVITIES["angular_rate"],
+    *(scale / (1 << power) for scale in (262.4, 262.144) for power in range(5)),
+    *(128.0 / (1 << power) for power in range(4)),
+    14.375,
+)
+"""Counts per dps of gyroscopes, also of those that only a measured grid distinguishes from the most common ones."""
 
 WIDE_SENSITIVITIES = {
     "specific_force": (12_800.0, 25_600.0, 51_200.0, 64_000.0, 128_000.0, 256_000.0, 52_428_800.0, 262_144_000.0),
@@ -214,9 +218,10 @@ def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: flo
     widest = max(range_, largest)
     coarse = INT16[1] / widest
     noise = _noise(axes)
-    step = common_step(axes) or named_step(axes, SENSITIVITIES[quantity])
+    usual = RATE_SENSITIVITIES if quantity == "angular_rate" else SENSITIVITIES[quantity]
+    step = common_step(axes) or named_step(axes, usual)
     if step is not None:
-        sensitivities = (*SENSITIVITIES[quantity], *WIDE_SENSITIVITIES[quantity])
+        sensitivities = (*usual, *WIDE_SENSITIVITIES[quantity])
         named = next((value for value in sensitivities if abs(value * step - 1) < NEAR), None)
         sensitivity = 1 / step if named is None else named
         if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:

@@ -83,10 +83,16 @@ def test_single_readings_at_the_end_of_the_range_are_clipped(tmp_path: Path) -> 
 def test_codes_that_overflow(tmp_path: Path) -> None:
     codes = still()
     shaken = slice(800, 1200)
-    wide = codes[shaken, 0] + np.rint(40_000 * np.sin(0.9 * np.arange(400))).astype(int)
+    wide = codes[shaken, 0] + np.rint(40_000 * np.sin(0.3 * np.arange(400))).astype(int)
     codes[shaken, 0] = (wide + 32_768) % 65_536 - 32_768
     doubts = report(codes, tmp_path).doubts
     assert any("Acc: x jumps" in text and "(overflow)" in text for text in doubts)
+
+
+def test_shaking_with_the_whole_range_is_no_overflow(tmp_path: Path) -> None:
+    codes = still()
+    codes[800:1200, 0] = np.random.default_rng(2).uniform(-32_000, 32_000, 400)
+    assert not any("overflow" in text for text in report(codes, tmp_path).doubts)
 
 
 def test_clipped_codes_do_not_overflow(tmp_path: Path) -> None:

@@ -314,13 +314,14 @@ def test_binary_data_is_refused(tmp_path: Path, content: bytes) -> None:
 @pytest.mark.slow
 def test_a_late_error_keeps_the_old_log_and_no_partial_file(tmp_path: Path) -> None:
     rows = "".join(f"{row},1,2,3\n" for row in range(10_000))
-    assert refused(tmp_path, rows + "10000,1,2,x\n", NUMBERED).startswith("data.csv: line 10001, column 3: 'x'")
+    late = rows + "9999,1,2,3\n"
+    assert refused(tmp_path, late, NUMBERED).startswith("data.csv: line 10001, column 0: 9999 is not later")
     write(tmp_path, rows, NUMBERED)
     before = (tmp_path / "out.h5").read_bytes()
     with pytest.raises(OutputExistsError):
         write(tmp_path, rows, NUMBERED)
     with pytest.raises(SourceError):
-        write(tmp_path, rows + "10000,1,2,x\n", NUMBERED, force=True)
+        write(tmp_path, late, NUMBERED, force=True)
     assert (tmp_path / "out.h5").read_bytes() == before
 
 
