@@ -2,7 +2,8 @@
 
 A line in a sensor's spectrum is a nuisance quantity if another sensor of the same quantity measures it too, with the
 same amplitude along the axes of the box. A faint line of an accelerometer is also a nuisance quantity unless another
-sensor contradicts it, which means that its noise and rate would show the line but do not. A line that another sensor
+sensor contradicts it, which means that its noise and rate would show the line but do not. If no other sensor would show
+it, a line of some milli-g counts as faint: it cannot be told where it comes from. A line that another sensor
 contradicts, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an effect.
 Neither is the broad maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a spectrum.
 """
@@ -27,6 +28,11 @@ from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 MOST_G = 6e-4
 """Largest usual amplitude along an axis of the box, in g: tables in rooms with machines vibrate with some tenths of a
 milli-g.
+"""
+
+MOST_ALONE_G = 3e-3
+"""The same if no other sensor would show the line. A fan or a compressor on the same table causes some milli-g, and a
+single accelerometer does not tell them from an error of its own.
 """
 
 MOST_FACTOR = 1.6
@@ -149,7 +155,9 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
         if any(_contradicts(other, line.bin, amplitude_box) for other in others):
             continue
         is_confirmed = any(_confirms(other, line.bin, amplitude_box) for other in others)
-        is_faint = member.header.quantity == "specific_force" and amplitude_box.max() <= MOST_G * STANDARD_GRAVITY
+        is_alone = not any(_power_along(other, line.bin, amplitude_box).would_show for other in others)
+        most_g = MOST_ALONE_G if is_alone else MOST_G
+        is_faint = member.header.quantity == "specific_force" and amplitude_box.max() <= most_g * STANDARD_GRAVITY
         if is_confirmed or is_faint:
             x, y, z = amplitude_box.tolist()
             hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
@@ -185,10 +193,30 @@ def _confirms(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
 
 def _contradicts(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
     """Return whether a sensor does not measure the line although it would be significant along one of its axes."""
+    along = _power_along(other, place, amplitude_box)
+    is_less = along.expected - along.measured > _SURE * along.scatter
+    return bool(is_less and along.measured < _CONTRADICTED * along.expected)
+
+
+class _PowerAlong(NamedTuple):
+    """Power of a line along the axis of a sensor along which it is most significant: that `expected` from its
+    amplitude, that `measured`, and the standard deviation of the latter, in squared SI units.
+    """
+
+    expected: float
+    measured: float
+    scatter: float
+
+    @property
+    def would_show(self) -> bool:
+        """True if the sensor would show the line."""
+        return self.expected > _SURE * self.scatter
+
+
+def _power_along(other: _Spectrum, place: float, amplitude_box: Floats) -> _PowerAlong:
+    """Return the power of a line with amplitudes (3,) along the axes of the box at a bin of a sensor's spectrum."""
     expected = (np.abs(np.array(other.header.orientation)).T @ amplitude_box) ** 2 / 2
     power, chance = other.power(place)
     axis = int(np.argmax(expected / np.where(chance > 0, chance, np.inf)))
     in_phase = 2 * expected[axis] / math.sqrt(max(other.spectrum.segments, 1))  # noise in phase with the line
-    scatter = math.sqrt(chance[axis] * (chance[axis] + in_phase))
-    is_less = expected[axis] - power[axis] > _SURE * scatter
-    return bool(is_less and power[axis] < _CONTRADICTED * expected[axis])
+    return _PowerAlong(float(expected[axis]), float(power[axis]), math.sqrt(chance[axis] * (chance[axis] + in_phase)))
