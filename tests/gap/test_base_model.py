@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pytest
 from scipy.signal import butter, lfilter
 
+from imuarray.gap.model.ambient_lines import AmbientLine
 from imuarray.gap.model.base_model import (
     Base,
     FittedParameters,
@@ -34,9 +35,11 @@ from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.log.format import OVERRUN, STALE, Phase
 from imuarray.log.writer import Block
 from imuarray.simulate import parse_model
+from imuarray.simulate.active_spans import acting
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.bias import Bias, BiasInstability
+from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.response import Misalignment, Scale, SizeEffect
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.effects.timing import OwnClock
@@ -624,3 +627,17 @@ def test_accelerometers_of_a_replicate_have_a_common_bias() -> None:
         drawn.append(boxes[0])
     np.testing.assert_allclose(np.std(drawn, axis=0), 0.05, rtol=0.15)
     np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.01)
+
+
+def test_a_machine_in_the_surroundings_runs_in_some_logs_only() -> None:
+    """In half of the replicates a line acts in all logs, in the others in half of them, for both sensors alike."""
+    base = fit(campaign_of("static"), PLANS["static"])
+    base = replace(base, ambient_lines=(AmbientLine(17.0, (0.01, 0.0, 0.0), ("A1", "A2")),))
+    tones = [
+        [next(effect for effect in base.drawn(number)[name] if isinstance(effect, Tone)) for name in ("A1", "A2")]
+        for number in range(40)
+    ]
+    assert all(first.spans == second.spans for first, second in tones)
+    in_some = [[acting(first, run) is not None for run in range(40)] for first, _ in tones if first.spans]
+    assert 10 <= len(in_some) <= 30
+    assert 0.4 < np.mean(in_some) < 0.6

@@ -63,7 +63,7 @@ from imuarray.gap.statistics.catalogue import (
 from imuarray.gap.statistics.probes.level import halves, mean
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import FOREVER_S, Effect
 from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, has_correlations
 from imuarray.simulate.effects.bias import Bias, BiasInstability
 from imuarray.simulate.effects.noise import Tone
@@ -173,6 +173,9 @@ depend on the cutoff, their residual does not determine its uncertainty.
 
 _FLICKER_SHOWS = 3.0
 """Least ratio of usual flicker to the standard error of the mean over a phase at which flicker can be noticeable."""
+
+_RUNS = 64
+"""Number of logs for which is drawn whether a machine in the surroundings runs; in later ones it does not."""
 
 _GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
@@ -284,11 +287,16 @@ class Base:
             yield usual_flicker((x, y, z))
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield the ambient lines as a sensor of this replicate measures them."""
+        """Yield the ambient lines as a sensor of this replicate measures them. In half of the replicates the machine
+        runs in each log only by chance.
+        """
         for line in self.ambient_lines:
             if header.name in line.sensors:
                 stream = units.of_unit("", Tone.name, f"{line.frequency_hz!r} Hz")
-                yield line.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
+                tone = line.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
+                coins = stream.uniform(0.0, 1.0, _RUNS + 1) < 0.5
+                runs = np.flatnonzero(coins[1:]).tolist() if coins[0] else []
+                yield replace(tone, spans=tuple(value for run in runs for value in (run, 0.0, FOREVER_S)))
 
 
 def _position_mm(header: SensorHeader, units: Streams) -> Triple:
