@@ -29,8 +29,9 @@ never of raw samples. Each is defined so that it scatters nearly normally withou
 with the others of its quantity, and with fewer than two others also with the track of the log, without the noise of the
 track at rest (`simulate.motion.track_noise`). A drift of the sensors' common clock from the track's shows as a growing
 delay of one sensor. The following are left out: rows in which a filter settles after power-on, the ends of a rest in
-which the box still moves, and moments at which several sensors are restless (`recording.quiet`), as with a hand,
-keystrokes, or motors that start. Without a track the motion is estimated from the sensors together
+which the box still moves, and moments at which several sensors are restless or measure a knock (`recording.quiet`), as
+with a hand, keystrokes, motors that start, or a box that is set down. A few readings that the logger reports as lost
+are the recorder's (`recording.recorder_gaps`). Without a track the motion is estimated from the sensors together
 (`recording.movement`), unless the box vibrates faster than the rows show. Turns between noted rests are motions too,
 with the attitudes at their beginning and end from gravity (`recording.turns`), and so are long stretches between
 detected rests. A statistic that one side lacks is missing: it has no score.

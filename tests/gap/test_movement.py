@@ -454,3 +454,31 @@ def test_a_knock_that_only_the_quietest_accelerometer_can_measure_is_excluded(
 @pytest.mark.parametrize(("name", "is_still"), [("heat", True), ("cool", True), ("soak", True), ("drive", False)])
 def test_the_box_is_at_rest_in_an_oven(name: str, *, is_still: bool) -> None:
     assert is_at_rest(Phase(0, SECOND, name)) is is_still
+
+
+def test_a_weighted_median_of_unequal_sensors() -> None:
+    """Equal weights give the median of those with readings. With half of the weight a value is the median, or the mean
+    of it and the next if it is the first or the last.
+    """
+    values = np.random.default_rng(0).normal(size=(4, 50, 3))
+    values[2, 10] = np.nan
+    np.testing.assert_allclose(movement.weighted_median(values, weights=np.ones(4)), np.nanmedian(values, axis=0))
+    three = np.array([[[1.0, 5.0, 9.0]], [[4.0, 4.0, 4.0]], [[7.0, 7.0, 7.0]]])
+    assert movement.weighted_median(three, weights=np.array([2.0, 1.0, 1.0])).tolist() == [[2.5, 5.0, 8.0]]
+
+
+def test_a_quiet_gyroscope_determines_the_motion_beside_noisy_ones(tmp_path: Path) -> None:
+    """Noise of two counts: four times the sensitivity means a quarter of the noise. Of three equal sensors the median
+    has 0.45 of the variance of one; with a quiet one the estimated motion has less noise than that.
+    """
+    gyroscopes = array(accelerometers=1, gyroscopes=3)
+    quiet = [*gyroscopes[:3], replace(gyroscopes[3], sensitivity=4 * gyroscopes[3].sensitivity)]
+    residuals = []
+    for name, sensors in (("equal", gyroscopes), ("quiet", quiet)):
+        log = written(tmp_path / f"{name}.h5", sensors, rates_hz=(100.0,) * 4)
+        motion = movement_of(log, TURN, [REST, AFTER])
+        assert motion is not None
+        middles_ns = np.arange(5 * SECOND, 7 * SECOND, SECOND // 50)
+        rate = motion.columns.values_at(middles_ns)[:, 3:]
+        residuals.append(np.std(np.degrees(rate[:, 1]) - np.degrees(rate_rad_s(middles_ns * 1e-9))))
+    assert residuals[1] < 0.7 * residuals[0]

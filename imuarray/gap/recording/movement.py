@@ -9,7 +9,8 @@ It is therefore subtracted in the spectrum; its size is estimated from the diffe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,9 @@ _LOUD, _LOUD_SHARE, _RAISED, _RAISED_SIGMAS = 4.0, 0.01, 1.5, 6.0
 ratio of another sensor at these frequencies above which it is shaken too, and the number of standard deviations that it
 has to exceed that by.
 """
+
+_ROUNDING = 1e-9
+"""Relative error of a sum of weights."""
 
 _CLIPPED = 0.97
 """Share of the range above which a rate is assumed to be clipped: zero and scale vary from part to part."""
@@ -429,11 +433,13 @@ def _mean_of(sensors: Sequence[Floats]) -> Floats:
     """Return the mean (w, 3) of the readings (w, 3) of the sensors, with its noise reduced; nan where no sensor has
     readings.
 
-    The median is used for three or more sensors. Each sensor's mean deviation from it is subtracted first, so
-    that a sensor without readings in a window causes no step.
+    For three or more sensors it is their median, weighted by the inverse variances of their noise, of which no sensor
+    has more than half. Each sensor's mean deviation from it is subtracted first, so that a sensor without readings in a
+    window causes no step.
     """
     readings = np.array(sensors)
-    middle = np.nanmedian if len(readings) > 2 else np.nanmean
+    weights = _weights(readings)
+    middle: Callable[..., Floats] = partial(weighted_median, weights=weights) if len(readings) > 2 else np.nanmean
     known = np.flatnonzero(np.isfinite(readings[:, :, 0]).any(axis=0))
     means = np.full(readings.shape[1:], np.nan)
     if len(known) < _FEWEST_WINDOWS:
@@ -447,3 +453,27 @@ def _mean_of(sensors: Sequence[Floats]) -> Floats:
     scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
     means[known] = reduce_noise(mean, scatter / max(len(readings) - 1, 1), keeps_power=True)
     return means
+
+
+def _weights(readings: Floats) -> Floats:
+    """Return the weights (s,) of sensors with readings (s, w, 3): the inverse squares of their second differences, but
+    no more than the sum of the others. The motion in the differences makes the weights more alike.
+    """
+    changes = np.diff(readings, n=2, axis=1) ** 2
+    noise = np.array([np.nanmedian(change) if np.isfinite(change).any() else np.inf for change in changes])
+    weights = 1 / np.maximum(noise, 1e-30)
+    return np.minimum(weights, weights.sum() - weights)
+
+
+def weighted_median(values: Floats, axis: int = 0, *, weights: Floats) -> Floats:
+    """Return the medians (w, 3) of values (s, w, 3) over their first axis with weights (s,): the mean of the values at
+    which the cumulative weight reaches and exceeds half of the total. nan without values.
+    """
+    order = np.argsort(values, axis=axis)  # nan is last
+    ordered = np.take_along_axis(values, order, axis=axis)
+    shares = np.where(np.isfinite(ordered), weights[order], 0.0)
+    upto = np.cumsum(shares, axis=axis)
+    half = upto[-1:] / 2
+    at = [np.argmax(upto >= limit * half, axis=axis)[None] for limit in (1 - _ROUNDING, 1 + _ROUNDING)]
+    low, high = (np.take_along_axis(ordered, place, axis=axis)[0] for place in at)
+    return np.asarray((low + high) / 2)
