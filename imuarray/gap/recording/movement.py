@@ -462,7 +462,7 @@ def _weights(readings: Floats) -> Floats:
     changes = np.diff(readings, n=2, axis=1) ** 2
     noise = np.array([np.nanmedian(change) if np.isfinite(change).any() else np.inf for change in changes])
     weights = 1 / np.maximum(noise, 1e-30)
-    return np.minimum(weights, weights.sum() - weights)
+    return np.asarray(np.minimum(weights, weights.sum() - weights))
 
 
 def weighted_median(values: Floats, axis: int = 0, *, weights: Floats) -> Floats:

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.noise import assign_signs, noise_of_logs, rarity_behind
-from imuarray.gap.inference.evidence import Span, When
+from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.lines import highest_lines
 from imuarray.simulate.active_spans import spans_of
@@ -33,6 +33,22 @@ def test_a_cutoff_is_suggested(cutoff_hz: float) -> None:
     first, *_ = (trial.effects[0] for trial in CANDIDATES["bandwidth"].guesses(evidence))
     assert isinstance(first, Bandwidth)
     assert first.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
+
+
+@pytest.mark.parametrize(("rows_per_s", "is_suggested"), [(100.0, True), (1.0, False)])
+def test_correlations_of_a_minute_are_no_filter(
+    monkeypatch: pytest.MonkeyPatch, rows_per_s: float, *, is_suggested: bool
+) -> None:
+    """The correlation of a filter of 0.5 Hz in 100 rows a second is that of one of 0.005 Hz in one row a second."""
+    evidence = evidence_of("static", "G1", {"G1": (Bandwidth(0.5),)}, seed=7)
+    monkeypatch.setattr(Evidence, "rows_per_s", rows_per_s)
+    cutoffs_hz = [
+        effect.cutoff_hz
+        for trial in CANDIDATES["bandwidth"].guesses(evidence)
+        for effect in trial.effects
+        if isinstance(effect, Bandwidth)
+    ]
+    assert any(0.3 < cutoff_hz < 0.8 for cutoff_hz in cutoffs_hz) is is_suggested
 
 
 @pytest.mark.slow

@@ -224,6 +224,9 @@ _LEAST_CORRELATION, _MOST_CORRELATION = 0.01, 0.995
 """Correlations of successive rows outside of which no low-pass is inferred."""
 
 _CUTOFFS_ALIKE = 1.3
+_LEAST_CUTOFF_HZ = 0.01
+"""Lowest cutoff of the effect: correlations that last longer, in slow rows, are those of a wander."""
+
 _OF_SPELL = ("cutoff_hz", "noise_share")
 _QUIET = 0.7
 """Largest share of the rms that a filter leaves: half of the power, as with half the bandwidth."""
@@ -271,16 +274,16 @@ def _bandwidth_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         if not _LEAST_CORRELATION < phi < _MOST_CORRELATION:
             continue
         cutoff_hz = -math.log(phi) * evidence.rows_per_s / (2 * math.pi)
-        if all(max(cutoff_hz / other, other / cutoff_hz) > _CUTOFFS_ALIKE for other in cutoffs_hz):
+        is_new = all(max(cutoff_hz / other, other / cutoff_hz) > _CUTOFFS_ALIKE for other in cutoffs_hz)
+        if is_new and cutoff_hz >= _LEAST_CUTOFF_HZ:
             cutoffs_hz.append(cutoff_hz)
             for share in shares:
                 yield Hypothesis((Bandwidth(cutoff_hz, share),), ("cutoff_hz",))
     if _LEAST_CORRELATION < first < _MOST_CORRELATION:
         decay = float(brentq(lambda decay: _TWO_POLES.correlation(decay) - first, 0.0, _NOTHING_LEFT))
-        for share in shares:
-            yield Hypothesis(
-                (Bandwidth(two_pole_cutoff_hz(1 / (decay * evidence.rows_per_s)), share, 2.0),), ("cutoff_hz",)
-            )
+        cutoff_hz = two_pole_cutoff_hz(1 / (decay * evidence.rows_per_s))
+        for share in shares if cutoff_hz >= _LEAST_CUTOFF_HZ else ():
+            yield Hypothesis((Bandwidth(cutoff_hz, share, 2.0),), ("cutoff_hz",))
 
 
 def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
