@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Self
 
 from firmware_emulator.board import ArrayLike, Board, BoardKind, SensorLike, allowed_text, named
-from firmware_emulator.chip import Chip, Target
+from firmware_emulator.chip import Chip, Target, TargetProxy
 from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
 from firmware_emulator.chips.mpu_queue import MpuFamily
 from firmware_emulator.clock import RealClock, VirtualClock, WireClock
@@ -30,12 +30,10 @@ from imuarray.facts import mpu6500
 NOWHERE = -1
 
 
-class BehindBypass:
+class BehindBypass(TargetProxy):
     """A device that has its address while the bypass of `host` is open, or always if it has no host."""
 
-    def __init__(self, device: Target) -> None:
-        self.device = device
-        self.host: MpuFamily | None = None
+    host: MpuFamily | None = None
 
     @property
     def address(self) -> int:
@@ -45,18 +43,6 @@ class BehindBypass:
     @address.setter
     def address(self, value: int) -> None:
         self.device.address = value
-
-    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """See `Target`."""
-        return self.device.write(data, at_ns, byte_ns)
-
-    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """See `Target`."""
-        return self.device.read(count, at_ns, byte_ns)
-
-    def stop(self, at_ns: int) -> None:
-        """See `Target`."""
-        self.device.stop(at_ns)
 
 
 TRUNK = ""

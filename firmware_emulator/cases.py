@@ -32,8 +32,8 @@ from firmware_emulator.mechanisms import MECHANISMS
 from firmware_emulator.mechanisms.experiments import EXPERIMENTS, BenchExperiment, known_experiment
 from firmware_emulator.mechanisms.host import HostClock
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
-from firmware_emulator.mechanisms.query import checked, fitting_of, split
-from firmware_emulator.sessions import Course, Recorder, ReferenceWorld, Room, of_table, sessions
+from firmware_emulator.mechanisms.query import fitting_of, split
+from firmware_emulator.sessions import Course, Recorder, Room, of_table, sessions
 from firmware_emulator.world import World, WorldPhase, WorldStimulus
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
@@ -91,7 +91,7 @@ class BenchCase:
             experiment if isinstance(experiment, BenchExperiment) else known_experiment(experiment)
             for experiment in experiments
         ]
-        fittings = [checked(array, fitting_of(array, *mechanism)) for mechanism in mechanisms]
+        fittings = [fitting_of(array, *mechanism) for mechanism in mechanisms]
         severities = tuple(severity for _, severity, _ in mechanisms)
         return cls(array, tuple(selected), tuple(fittings), severities, seed, rate_hz, reference)
 
@@ -165,7 +165,7 @@ class BenchCase:
 
         bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
         if isinstance(experiment.world, Course):
-            bus.truth = ReferenceWorld(experiment.world)
+            bus.truth = experiment.world.commanded
         log_begin = _LogBegin(bus.truth)
         bus.truth = log_begin
         if not self.reference:
@@ -241,7 +241,7 @@ def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> No
     world on.
     """
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
-    world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world
+    world = experiment.world.commanded if isinstance(experiment.world, Course) else experiment.world
     stimuli = [world(begun_ns + at_ns) for at_ns in times.tolist()]
     columns = {
         "time": times,
@@ -309,48 +309,34 @@ def _describe(context: click.Context, _: click.Parameter, is_asked: bool) -> Non
 @click.option(
     "--mechanisms", is_flag=True, is_eager=True, expose_value=False, callback=_describe, help="list them as JSON"
 )
-def program(**options: Any) -> None:
+def program(  # noqa: PLR0913
+    config: Path,
+    output: Path,
+    truth: Path,
+    mechanism: tuple[str, ...],
+    severity: tuple[float, ...],
+    sensor: tuple[str, ...],
+    seed: int,
+    experiments: str,
+    rate_hz: float,
+    only: str | None,
+    reference: bool,
+    force: bool,
+) -> None:
     """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it.
 
     A CONFIG that ends in .json is a whole world: array, sessions, room and recorder.
     """
-    _write(CaseOptions(**options))
-
-
-@dataclass(frozen=True)
-class CaseOptions:
-    """The options of the program, as they were given."""
-
-    config: Path
-    output: Path
-    truth: Path
-    mechanism: tuple[str, ...]
-    severity: tuple[float, ...]
-    sensor: tuple[str, ...]
-    seed: int
-    experiments: str
-    rate_hz: float
-    only: str | None
-    reference: bool
-    force: bool
-
-
-def _write(options: CaseOptions) -> None:
-    """Write the case, and print the paths of its logs."""
     try:
-        mechanisms = asked(options.mechanism, options.severity, options.sensor)
-        if options.config.suffix == ".json":
-            case = BenchCase.of_world(
-                json.loads(options.config.read_text(encoding="utf-8")), *mechanisms, seed=options.seed
-            )
+        mechanisms = asked(mechanism, severity, sensor)
+        if config.suffix == ".json":
+            case = BenchCase.of_world(json.loads(config.read_text(encoding="utf-8")), *mechanisms, seed=seed)
         else:
-            array = load_array(find_config(options.config))
-            array = array.only(tuple(options.only.split(","))) if options.only else array
-            names = options.experiments.split(",")
-            case = BenchCase.of(
-                array, names, *mechanisms, seed=options.seed, rate_hz=options.rate_hz, reference=options.reference
-            )
-        paths = case.write(options.output, options.truth, force=options.force)
+            array = load_array(find_config(config))
+            array = array.only(tuple(only.split(","))) if only else array
+            names = experiments.split(",")
+            case = BenchCase.of(array, names, *mechanisms, seed=seed, rate_hz=rate_hz, reference=reference)
+        paths = case.write(output, truth, force=force)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     for path in paths:

@@ -33,6 +33,34 @@ class Target(Protocol):
         """Note the STOP that ends a transaction in which this device was addressed."""
 
 
+class TargetProxy:
+    """A device in front of another one; it passes everything on that a subclass does not override."""
+
+    def __init__(self, device: Target) -> None:
+        self.device = device
+
+    @property
+    def address(self) -> int:
+        """The address of the other device."""
+        return self.device.address
+
+    @address.setter
+    def address(self, value: int) -> None:
+        self.device.address = value
+
+    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
+        """See `Target`."""
+        return self.device.write(data, at_ns, byte_ns)
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """See `Target`."""
+        return self.device.read(count, at_ns, byte_ns)
+
+    def stop(self, at_ns: int) -> None:
+        """See `Target`."""
+        self.device.stop(at_ns)
+
+
 class Element(Protocol):
     """The sensing element in front of a chip's converter: its response to the world, including its imperfections."""
 

@@ -21,7 +21,7 @@ import numpy as np
 from firmware_emulator.chip import Triple
 from firmware_emulator.chips import BAROMETERS, HALVES
 from firmware_emulator.six_axis import ACCELEROMETER
-from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, World, WorldStimulus
+from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, World, WorldStimulus, scaled
 
 Matrix = tuple[Triple, Triple, Triple]
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -75,18 +75,14 @@ class UnitDeviations:
 
 def product(a: Matrix, b: Matrix) -> Matrix:
     """a @ b."""
-    x, y, z = ((sum_of(row, 0, b), sum_of(row, 1, b), sum_of(row, 2, b)) for row in a)
+    columns = transposed(b)
+    x, y, z = (applied(columns, row) for row in a)
     return x, y, z
-
-
-def sum_of(row: Triple, column: int, matrix: Matrix) -> float:
-    """Return one element of a product of matrices."""
-    return row[0] * matrix[0][column] + row[1] * matrix[1][column] + row[2] * matrix[2][column]
 
 
 def times(matrix: Matrix, factor: float) -> Matrix:
     """Return `factor` times `matrix`."""
-    x, y, z = ((a * factor, b * factor, c * factor) for a, b, c in matrix)
+    x, y, z = (scaled(row, factor) for row in matrix)
     return x, y, z
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
-from firmware_emulator.chip import Chip, Element, Target, Triple
+from firmware_emulator.chip import Chip, Element, Target, TargetProxy, Triple
 from firmware_emulator.chips import HALVES
 from imuarray.facts import bma180, l3g4200d
 
@@ -96,25 +96,17 @@ class ChipFault:
         return self.times.during(at_ns) and self.times.begun(at_ns) > self.cured
 
 
-class FaultyDevice:
+class FaultyDevice(TargetProxy):
     """A chip of that `kind` with its faults. It replaces `device`, which is the chip or a device in front of it."""
 
     def __init__(
         self, device: Target, chip: Chip, kind: str, faults: Sequence[ChipFault], powered_on_ns: int = 0
     ) -> None:
-        self._device, self._chip, self._kind = device, chip, kind
+        super().__init__(device)
+        self._chip, self._kind = chip, kind
         self._faults = faults
         self._powered_on_ns = powered_on_ns
         self._pointer = 0
-
-    @property
-    def address(self) -> int:
-        """The chip's address."""
-        return self._device.address
-
-    @address.setter
-    def address(self, value: int) -> None:
-        self._device.address = value
 
     def hangs(self, at_ns: int) -> bool:
         """Return whether it holds the clock without end when it is addressed."""
@@ -131,20 +123,16 @@ class FaultyDevice:
                 fault.cured = fault.times.begun(since_ns)
         if data:
             self._pointer = data[0] & 0x7F
-        return self._device.write(data, at_ns, byte_ns)
+        return super().write(data, at_ns, byte_ns)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Read the device; while a fault freezes the triad, its last value is returned."""
-        sent = self._device.read(count, at_ns, byte_ns)
+        sent = super().read(count, at_ns, byte_ns)
         since_ns = at_ns - self._powered_on_ns
         for fault in self._faults:
             if fault.action in ("frozen", "stale"):
                 sent = self._standing(fault, sent, since_ns)
         return sent
-
-    def stop(self, at_ns: int) -> None:
-        """Pass the STOP on to the device."""
-        self._device.stop(at_ns)
 
     def _catch_up(self, fault: ChipFault, since_ns: int) -> None:
         """Apply the faults that began or ended since the last transaction."""

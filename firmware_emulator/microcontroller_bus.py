@@ -14,13 +14,16 @@ from __future__ import annotations
 import errno
 import socket
 import struct
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Protocol
+
+from firmware_emulator.spi import ChipSelectPort
 
 FIRST_SELECT = 0x80
 """Address of chip select 0."""
 SELECTS = 8
-DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
+DONE, NO_ACKNOWLEDGE, HELD, REFUSED = 0, 1, 2, 3
 """Result codes of a transaction: done, no acknowledge, bus held, refused."""
 SPI_PATH = "/dev/spidev0."
 """Prefix of the bus names of controller 0: chip select N of this controller is chip select N of the microcontroller."""
@@ -40,20 +43,13 @@ class Transfers(Protocol):
         """
 
 
-class SelectPort(Protocol):
-    """A chip select with its clock setting."""
-
-    def exchange(self, sent: bytes) -> bytes:
-        """Send bytes; return the same number of received bytes."""
-
-
 class Buses(Protocol):
     """The buses and chip selects of the emulated array."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """Carry out one I2C transaction; OSError like that of the emulated wire."""
 
-    def spi_port(self, path: str, mode: int, clock_hz: int) -> Any:
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> ChipSelectPort:
         """Return the chip select with this name; OSError if it has no sensor."""
 
 
@@ -65,7 +61,7 @@ class MicrocontrollerBus:
 
     def __init__(self, array: Buses) -> None:
         self._array = array
-        self._ports: dict[int, SelectPort | None] = {}
+        self._ports: dict[int, ChipSelectPort | None] = {}
 
     def set_select(self, select: int, mode: int, clock_hz: int) -> None:
         """Set mode and clock of a chip select; ValueError if no controller supports them."""
@@ -97,7 +93,7 @@ class MicrocontrollerBus:
 def result_of(error: OSError | ValueError) -> int:
     """Return the code by which firmware reports a failed transaction."""
     if isinstance(error, OSError):
-        return HELD if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else NOBODY
+        return HELD if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else NO_ACKNOWLEDGE
     return REFUSED
 
 
@@ -113,12 +109,8 @@ def serve_bus(bus: Transfers, connection: socket.socket) -> None:
             connection.sendall(_answer(bus, kind, address, first, second, stream.read))
 
 
-class _Read(Protocol):
-    def __call__(self, size: int, /) -> bytes: ...
-
-
 # The four fields of a request follow each other on the socket.
-def _answer(bus: Transfers, kind: bytes, address: int, first: int, second: int, read: _Read) -> bytes:
+def _answer(bus: Transfers, kind: bytes, address: int, first: int, second: int, read: Callable[[int], bytes]) -> bytes:
     try:
         if kind == b"C":
             bus.set_select(address, first, *_CLOCK.unpack(read(_CLOCK.size)))

@@ -17,7 +17,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from firmware_emulator.clock import WireClock
-from firmware_emulator.microcontroller_bus import DONE, FIRST_SELECT, HELD, NOBODY, REFUSED, Transfers, result_of
+from firmware_emulator.microcontroller_bus import (
+    DONE,
+    FIRST_SELECT,
+    HELD,
+    NO_ACKNOWLEDGE,
+    REFUSED,
+    Transfers,
+    result_of,
+)
 
 VERSION = 1
 LONGEST = 1024
@@ -76,7 +84,7 @@ def frame(kind: int, sequence: int, time_us: int, payload: bytes) -> bytes:
     return bytes([FIRST, SECOND]) + body + struct.pack("<I", zlib.crc32(body))
 
 
-FAILED_AGES = {NOBODY: 0xFFFF, HELD: 0xFFFE}
+FAILED_AGES = {NO_ACKNOWLEDGE: 0xFFFF, HELD: 0xFFFE}
 LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
 LISTS = 128
@@ -193,7 +201,7 @@ class Firmware:
         for _ in range(2):
             begun_us = self.time_us()
             result, data = self._transaction(request.address, request.write, size)
-            if result != NOBODY:
+            if result != NO_ACKNOWLEDGE:
                 break
         return result, begun_us, data + bytes(request.read - size)
 

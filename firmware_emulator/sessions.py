@@ -197,7 +197,9 @@ class Course:
         return self.shaken(at_s, self.commanded(at_ns))
 
     def commanded(self, at_ns: int) -> WorldStimulus:
-        """Return the commanded motion of the bench at room temperature, without the vibration of the table."""
+        """Return the commanded motion of the bench at room temperature, without the vibration of the table: what a
+        reference instrument measures.
+        """
         at_s = max(at_ns, 0) * 1e-9
         stimulus = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
         for motion in self.motions:
@@ -286,17 +288,6 @@ class Course:
     def _phases(self) -> list[float]:
         phases: list[float] = stream(self.seed, "room").uniform(0, 2 * math.pi, len(DRAUGHT_PERIODS_S)).tolist()
         return phases
-
-
-@dataclass(frozen=True)
-class ReferenceWorld:
-    """The commanded motion as a world: the world of a reference instrument."""
-
-    course: Course
-
-    def __call__(self, at_ns: int) -> WorldStimulus:
-        """Return the commanded stimulus, without the vibration of the table."""
-        return self.course.commanded(at_ns)
 
 
 def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:

@@ -131,11 +131,8 @@ class TornReads(SensorMechanism):
     share: float = 0.01
 
     resembles: ClassVar[tuple[str, ...]] = ("glitches",)
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a larger share."""
-        return cls(share=min(1.0, cls.share * severity))
+    scaled: ClassVar[tuple[str, ...]] = ("share",)
+    largest: ClassVar[float] = 1.0
 
     def put_on(self, site: Site) -> None:
         """Act in the latch, before the wire."""
@@ -219,11 +216,7 @@ class SlowOscillator(SensorMechanism):
     rate_hz: float = 40.0
 
     resembles: ClassVar[tuple[str, ...]] = ("stale_samples", "odr_error")
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a slower oscillator."""
-        return cls(rate_hz=cls.rate_hz / severity)
+    inverse: ClassVar[tuple[str, ...]] = ("rate_hz",)
 
     def put_on(self, site: Site) -> None:
         """Set the rate error of a BMA180, which is a switch of its model; replace the class of other chips."""

@@ -183,20 +183,18 @@ class MainsRipple(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Add the ripple to every axis in the same phase."""
         random, elapsed = site.run_random("mains"), Stopwatch()
-        direction, peak = site.direction("mains"), site.by_unit(self.peak_g, self.peak_dps)
         phase, wander = random.uniform(0.0, 2 * math.pi), random.normal(0.0, self.wander_hz)
         second, third = self.harmonics
 
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
+        def wave(at_ns: int, stimulus: WorldStimulus) -> float:
             nonlocal phase, wander
             seconds = elapsed(at_ns)
             kept = math.exp(-seconds / self.wander_s)
             wander = wander * kept + self.wander_hz * math.sqrt(1 - kept * kept) * random.standard_normal()
             phase = (phase + 2 * math.pi * (self.mains_hz + wander) * seconds) % (2 * math.pi)
-            wave = math.sin(phase) + second * math.sin(2 * phase) + third * math.sin(3 * phase)
-            return plus(value, direction, peak * wave)
+            return math.sin(phase) + second * math.sin(2 * phase) + third * math.sin(3 * phase)
 
-        site.chain.sensed.append(sensed)
+        site.add("mains", self.peak_g, self.peak_dps, wave)
 
 
 @dataclass(frozen=True)
@@ -226,12 +224,7 @@ class SpinningMotor(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """Add the vibration along a direction that depends on the sensor."""
-        direction, peak = site.direction("motor"), site.by_unit(self.peak_g, self.peak_dps)
-
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
-            return plus(value, direction, peak * self.wave(at_ns * 1e-9))
-
-        site.chain.sensed.append(sensed)
+        site.add("motor", self.peak_g, self.peak_dps, lambda at_ns, stimulus: self.wave(at_ns * 1e-9))
 
 
 @dataclass(frozen=True)

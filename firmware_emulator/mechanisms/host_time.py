@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism
@@ -93,11 +93,8 @@ class CoarseTimestamps(Mechanism):
     tick_ms: float = 10.0
 
     place: ClassVar[str] = "host"
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a longer tick."""
-        return cls(tick_ms=min(COARSEST_MS, cls.tick_ms * severity))
+    scaled: ClassVar[tuple[str, ...]] = ("tick_ms",)
+    largest: ClassVar[float] = COARSEST_MS
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
         """Replace the clock of the host by a coarse one."""

@@ -4,6 +4,7 @@ board.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -34,18 +35,22 @@ class Mechanism(ABC):
     `touches` are the chips on which it can act. `place` states which sensors it needs: "sensor" (any number), "pair"
     (two of one chip), "design" (all of one chip), "host" (the whole array). `resembles` contains the effect names that
     are correct in a diagnosis; it is empty if no effect describes the mechanism. `scaled` names the parameters that are
-    proportional to the severity.
+    proportional to the severity, up to `largest`; `inverse` those that are inversely proportional to it.
     """
 
     touches: ClassVar[tuple[str, ...]] = INERTIAL
     place: ClassVar[str] = "sensor"
     resembles: ClassVar[tuple[str, ...]] = ()
     scaled: ClassVar[tuple[str, ...]] = ()
+    largest: ClassVar[float] = math.inf
+    inverse: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def at(cls, severity: float) -> Self:
         """Return the mechanism at `severity` times its reference size, which is that of the default parameters."""
-        return replace(cls(), **{name: severity * getattr(cls, name) for name in cls.scaled})
+        changes = {name: min(cls.largest, severity * getattr(cls, name)) for name in cls.scaled}
+        changes |= {name: getattr(cls, name) / severity for name in cls.inverse}
+        return replace(cls(), **changes)
 
     @abstractmethod
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
@@ -275,10 +280,3 @@ class FittedBoard(Board):
         for shown, when in self.host.clocks:
             clock = HostClock(clock, shown, when, self.powered_on_ns)
         return clock
-
-
-def chosen(name: str, known: Mapping[str, type[Mechanism]], severity: float) -> Mechanism:
-    """Return the mechanism of that name at `severity`; ValueError for an impossible name or severity."""
-    if not severity > 0:
-        raise ValueError(f"severity={severity}; allowed is anything above 0")
-    return named(name, known, "mechanism").at(severity)

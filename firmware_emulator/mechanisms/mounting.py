@@ -151,11 +151,5 @@ class DroppedBox(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """Add the shift, except before the fall."""
-        if site.run == 0:
-            return
-        direction, shift = site.direction("fall"), site.by_unit(self.shift_g, self.shift_dps)
-
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
-            return plus(value, direction, shift)
-
-        site.chain.sensed.append(sensed)
+        if site.run > 0:
+            site.add("fall", self.shift_g, self.shift_dps, lambda at_ns, stimulus: 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -115,11 +115,7 @@ class BrownOut(SensorMechanism):
 
     touches: ClassVar[tuple[str, ...]] = ("bma180",)  # the other chips do not measure after power-on
     resembles: ClassVar[tuple[str, ...]] = ("range_reset",)
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a shorter mean time."""
-        return cls(mean_s=cls.mean_s / severity)
+    inverse: ClassVar[tuple[str, ...]] = ("mean_s",)
 
     def put_on(self, site: Site) -> None:
         """Reset the chip before it is next addressed."""
@@ -186,12 +182,7 @@ class BiasCurrentDac(SensorMechanism):
         if site.run_random("bias current").random() >= self.share:
             return
         site.note("came up in the other state")
-        direction, step = site.direction("bias current"), site.by_unit(self.step_g, self.step_dps)
-
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
-            return plus(value, direction, step)
-
-        site.chain.sensed.append(sensed)
+        site.add("bias current", self.step_g, self.step_dps, lambda at_ns, stimulus: 1.0)
 
 
 @dataclass(frozen=True)
@@ -210,9 +201,8 @@ class LogCreep(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """Add the creep by the world's clock, which starts at power-on."""
-        direction, creep = site.direction("creep"), site.by_unit(self.per_decade_g, self.per_decade_dps)
 
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
-            return plus(value, direction, creep * math.log10(1 + at_ns * 1e-9 / self.onset_s))
+        def decades(at_ns: int, stimulus: WorldStimulus) -> float:
+            return math.log10(1 + at_ns * 1e-9 / self.onset_s)
 
-        site.chain.sensed.append(sensed)
+        site.add("creep", self.per_decade_g, self.per_decade_dps, decades)

@@ -7,12 +7,13 @@ entry means all on which it can act.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from firmware_emulator.array import number, whole_number
+from firmware_emulator.board import named
 from firmware_emulator.mechanisms import MECHANISMS
-from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting, chosen, sites_of
+from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting, sites_of
 
 if TYPE_CHECKING:
     from firmware_emulator.board import ArrayLike, BoardKind
@@ -29,19 +30,19 @@ def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, 
     if not len(names) == len(severities) == len(groups):
         raise ValueError("mechanism, severity, sensor: allowed are lists of equal length")
     return tuple(
-        checked(array, fitting_of(array, name, number(severity), tuple(split(group, "|"))))
+        fitting_of(array, name, number("severity", severity), tuple(split(group, "|")))
         for name, severity, group in zip(names, severities, groups, strict=True)
     )
 
 
 def fitting_of(array: ArrayLike, name: str, severity: float, sensors: tuple[str, ...] = ()) -> Fitting:
-    """Return one mechanism on these sensors, or on all on which it can act; ValueError for an unknown name."""
-    mechanism = chosen(name, MECHANISMS, severity)
-    return Fitting(mechanism, sensors or mechanism.wherever(array.sensors))
-
-
-def checked(array: ArrayLike, fitting: Fitting) -> Fitting:
-    """Return `fitting`; ValueError if the mechanism cannot act on those sensors."""
+    """Return one mechanism on these sensors, or on all on which it can act; ValueError for an impossible name, severity
+    or sensor.
+    """
+    if not severity > 0:
+        raise ValueError(f"severity={severity}; allowed is anything above 0")
+    mechanism = named(name, MECHANISMS, "mechanism").at(severity)
+    fitting = Fitting(mechanism, sensors or mechanism.wherever(array.sensors))
     sites_of(array, fitting)
     return fitting
 
@@ -49,12 +50,10 @@ def checked(array: ArrayLike, fitting: Fitting) -> Fitting:
 def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
     """Return the kind of board of the query."""
     fittings = fittings_from(query, array)
-    run, units = query.get("run", "0"), query.get("units", "paper")
-    if not (run.isascii() and run.isdigit()):
-        raise ValueError(f"run={run}; allowed is a whole number")
+    run, units = whole_number(query, "run", 0), query.get("units", "paper")
 
     def board(name: str, world: World, seed: int) -> FittedBoard:
-        return FittedBoard(array, world, seed, fittings, run=int(run), units=units)
+        return FittedBoard(array, world, seed, fittings, run=run, units=units)
 
     return board
 
@@ -62,14 +61,3 @@ def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
 def split(text: str, separator: str) -> list[str]:
     """Return the parts of a list; an empty text has no parts."""
     return text.split(separator) if text else []
-
-
-def number(text: str) -> float:
-    """Return a finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"severity={text}; allowed is a number")
-    return value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import applied, transposed
@@ -53,11 +53,7 @@ class PlateGap(SensorMechanism):
     gap_dps: float = 8000.0
 
     resembles: ClassVar[tuple[str, ...]] = ("nonlinearity",)
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a narrower gap."""
-        return cls(gap_g=cls.gap_g / severity, gap_dps=cls.gap_dps / severity)
+    inverse: ClassVar[tuple[str, ...]] = ("gap_g", "gap_dps")
 
     def put_on(self, site: Site) -> None:
         """Act on each axis separately, with a stop that limits the movement of the plates."""
@@ -86,11 +82,7 @@ class SoftClipping(SensorMechanism):
     share: float = 0.5
 
     resembles: ClassVar[tuple[str, ...]] = ("saturation",)
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a lower supply."""
-        return cls(share=cls.share / severity)
+    inverse: ClassVar[tuple[str, ...]] = ("share",)
 
     def put_on(self, site: Site) -> None:
         """Clip the sum of signal and noise."""
@@ -146,12 +138,11 @@ class VibrationRectification(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """Act along axes that depend on the part."""
-        direction, factor = site.direction("stops"), site.by_unit(self.per_g2_g, self.per_g2_dps)
         elapsed = Stopwatch()
         mean: Triple | None = None
         square = 0.0
 
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
+        def variance(at_ns: int, stimulus: WorldStimulus) -> float:
             nonlocal mean, square
             seconds, force = elapsed(at_ns), stimulus.force_box
             mean = force if mean is None else mean
@@ -159,9 +150,9 @@ class VibrationRectification(SensorMechanism):
             deviation = plus(force, mean, -1.0)
             mean = plus(mean, deviation, share)
             square += (sum(component * component for component in deviation) / STANDARD_GRAVITY**2 - square) * share
-            return plus(value, direction, factor * square)
+            return square
 
-        site.chain.sensed.append(sensed)
+        site.add("stops", self.per_g2_g, self.per_g2_dps, variance)
 
 
 NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
@@ -189,11 +180,7 @@ class OutputFilter(SensorMechanism):
     cutoff_hz: float = 20.0
 
     resembles: ClassVar[tuple[str, ...]] = ("bandwidth",)
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a lower cut-off."""
-        return cls(cutoff_hz=cls.cutoff_hz / severity)
+    inverse: ClassVar[tuple[str, ...]] = ("cutoff_hz",)
 
     @property
     def decay(self) -> float:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from firmware_emulator.chip import Chip, Triple
+from firmware_emulator.chip import Chip, TargetProxy, Triple
 from firmware_emulator.element import BLOCK, SENSED, Matrix, SensingElement, stream
 from firmware_emulator.world import World, WorldStimulus
 
@@ -155,24 +155,16 @@ class Links:
         return not (self.latches or self.contacts or self.cables or self.resets)
 
 
-class ChipLine:
+class ChipLine(TargetProxy):
     """A chip of that `kind`, read through `links`."""
 
     def __init__(self, chip: Chip, kind: str, links: Links, powered_on_ns: int = 0) -> None:
+        super().__init__(chip)
         self._chip = chip
         self._powered_on_ns = powered_on_ns
         self._links = links
         self._layout = LAYOUTS[kind]
         self._pointer = 0
-
-    @property
-    def address(self) -> int:
-        """The chip's address."""
-        return self._chip.address
-
-    @address.setter
-    def address(self, value: int) -> None:
-        self._chip.address = value
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
         """Write to the chip; nothing is acknowledged while a contact is open."""
@@ -198,10 +190,6 @@ class ChipLine:
         for cable in self._links.cables:
             answer = cable(at_ns, answer)
         return answer
-
-    def stop(self, at_ns: int) -> None:
-        """Pass the STOP on to the chip."""
-        self._chip.stop(at_ns)
 
     def _latched(self, answer: bytes, offset: int, at_ns: int) -> bytes:
         _, shift, bits = self._layout
@@ -267,6 +255,17 @@ class Site:
         vector = self.unit_random(f"direction of {key}").standard_normal(3)
         x, y, z = (vector * (math.sqrt(3) / float(np.linalg.norm(vector)))).tolist()
         return x, y, z
+
+    def add(self, key: str, g: float, dps: float, course: Callable[[int, WorldStimulus], float]) -> None:
+        """Add an error to the signal: `g` or `dps`, averaged over the axes, along the direction of `key`, times the
+        `course` at the instant, which may depend on the stimulus.
+        """
+        direction, size = self.direction(key), self.by_unit(g, dps)
+
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
+            return plus(value, direction, size * course(at_ns, stimulus))
+
+        self.chain.sensed.append(sensed)
 
     def note(self, event: str) -> None:
         """Add an event at this sensor to the truth."""

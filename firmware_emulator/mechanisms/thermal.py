@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Site, Stopwatch, plus
+from firmware_emulator.mechanisms.site import Site, Stopwatch
 from firmware_emulator.world import ROOM_DEGC, WorldStimulus
 
 
@@ -28,12 +28,11 @@ class ThermistorBow(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """Add the error to each axis with a sign and share that depend on the part."""
-        direction, bow = site.direction("bow"), site.by_unit(self.bow_g_per_k2, self.bow_dps_per_k2)
 
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
-            return plus(value, direction, bow * (stimulus.temperature_degc - ROOM_DEGC) ** 2)
+        def bow(at_ns: int, stimulus: WorldStimulus) -> float:
+            return (stimulus.temperature_degc - ROOM_DEGC) ** 2
 
-        site.chain.sensed.append(sensed)
+        site.add("bow", self.bow_g_per_k2, self.bow_dps_per_k2, bow)
 
 
 @dataclass(frozen=True)
@@ -137,14 +136,13 @@ class ThermalHysteresis(SensorMechanism):
 
     def put_on(self, site: Site) -> None:
         """Add the error to each axis with a sign and share that depend on the part."""
-        direction, width = site.direction("hysteresis"), self.backlash_k
-        per_k = site.by_unit(self.size_g, self.size_dps) / width
+        width = self.backlash_k
         follower: float | None = None
 
-        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
+        def lag(at_ns: int, stimulus: WorldStimulus) -> float:
             nonlocal follower
             degc = stimulus.temperature_degc
             follower = degc if follower is None else min(max(follower, degc - width), degc + width)
-            return plus(value, direction, per_k * (follower - degc))
+            return follower - degc
 
-        site.chain.sensed.append(sensed)
+        site.add("hysteresis", self.size_g / width, self.size_dps / width, lag)

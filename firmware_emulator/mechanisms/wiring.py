@@ -6,12 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar
 
-from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
-from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Codes, Latch, Site, plus
+from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Codes, Latch, Site
 from firmware_emulator.world import WorldStimulus
 
 if TYPE_CHECKING:
@@ -31,11 +30,8 @@ class CableBitErrors(SensorMechanism):
     per_bit: float = 1e-5
 
     resembles: ClassVar[tuple[str, ...]] = ("glitches",)
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a worse cable."""
-        return cls(per_bit=min(0.5, cls.per_bit * severity))
+    scaled: ClassVar[tuple[str, ...]] = ("per_bit",)
+    largest: ClassVar[float] = 0.5
 
     def put_on(self, site: Site) -> None:
         """Invert bits of the received bytes."""
@@ -103,11 +99,8 @@ class MuxHang(Mechanism):
 
     place: ClassVar[str] = "host"
     resembles: ClassVar[tuple[str, ...]] = ("channel_swap", "glitches")
-
-    @classmethod
-    def at(cls, severity: float) -> Self:
-        """Return the mechanism with a larger share."""
-        return cls(share=min(0.5, cls.share * severity))
+    scaled: ClassVar[tuple[str, ...]] = ("share",)
+    largest: ClassVar[float] = 0.5
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
         """Return the sensors that have a twin: the same chip at the same address on another channel."""
@@ -176,15 +169,10 @@ class MuxCrosstalk(Mechanism):
             nonlocal switched_ns
             switched_ns = at_ns
 
-        def hear(site: Site) -> None:
-            direction, kick = site.direction("kick"), site.by_unit(self.kick_g, self.kick_dps)
-
-            def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
-                since_ms = (at_ns - switched_ns) * 1e-6
-                return plus(value, direction, kick * math.exp(-since_ms / self.decay_ms)) if since_ms >= 0 else value
-
-            site.chain.sensed.append(sensed)
+        def decay(at_ns: int, stimulus: WorldStimulus) -> float:
+            since_ms = (at_ns - switched_ns) * 1e-6
+            return math.exp(-since_ms / self.decay_ms) if since_ms >= 0 else 0.0
 
         board.host.switched.append(switched)
         for site in sites:
-            hear(site)
+            site.add("kick", self.kick_g, self.kick_dps, decay)
