@@ -360,9 +360,7 @@ class ConfigurationReadback:
             check.wrong = 0
             check.good_rows = len(check.buffer.times_ns)
         else:
-            address, configured = check.setting.register.address, check.setting.into(value)
-            text = f"register {address:#04x} reads {value:#04x}, configured {configured:#04x}"
-            self._wrong(check, "configuration", text)
+            self._wrong(check, "configuration", check.setting.mismatch(value))
 
     def _ask(self, check: _Check) -> None:
         """Ask the kernel who owns the address. One answer is enough."""

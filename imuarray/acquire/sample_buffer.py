@@ -154,6 +154,8 @@ of the chip again.
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
 """Duration in s, and number of reading periods, without a reading after which a sensor is silent (the longer one)."""
+_DOUBTFUL = 0
+"""Key of rows whose time is uncertain, or before which another read may have occurred; they have no flag in a log."""
 HELD_S = 10.0
 """Longest time in s that a row waits. A row that was not verified in this time is written as suspect. If a sensor is
 read so rarely that a frozen reading is detected only later, its rows are written before that.
@@ -174,10 +176,8 @@ class SampleBuffer:
         """Times of the waiting rows."""
         self._uncertainties_ns: list[float] = []  # uncertainties of the times, for rows that have one
         self._bursts = bytearray()
-        self._lost_before: list[int] = []
-        self._overrun: list[int] = []
-        self._reconfigured: list[int] = []
-        self._doubtful: list[int] = []  # rows whose time is uncertain, or before which another read may have occurred
+        self._flagged: dict[int, list[int]] = {LOST_BEFORE: [], OVERRUN: [], RECONFIGURED: [], _DOUBTFUL: []}
+        """Rows with each of these flags."""
         self._suspect: list[tuple[int, int | None]] = []  # [first, end) of misconfigured rows; end None: until `trust`
         self._missing = False
         self.has_failed = False
@@ -301,19 +301,19 @@ class SampleBuffer:
         """Add the readings of one fetch: a single one taken at `at_ns`, or those of a queue. They end a silence."""
         self._silent_since_ns = None
         if doubtful:
-            self._doubtful.append(len(self.times_ns))
+            self._flagged[_DOUBTFUL].append(len(self.times_ns))
         if self._missing:
-            self._lost_before.append(len(self.times_ns))
+            self._flagged[LOST_BEFORE].append(len(self.times_ns))
             self._missing = False
         if self._set_up_again:
-            self._reconfigured.append(len(self.times_ns))
+            self._flagged[RECONFIGURED].append(len(self.times_ns))
             self._set_up_again = False
         if self._on_demand:
             self._awaited_ns, self._overdue, self.has_failed = at_ns + round(self._reading_period_ns), 0, False
         if self.queue is None:
             self.times_ns.append(at_ns)
         else:
-            self._overrun += [len(self.times_ns) + row for row in self.queue.gaps]
+            self._flagged[OVERRUN] += [len(self.times_ns) + row for row in self.queue.gaps]
             self.times_ns += self.queue.drained
             self._uncertainties_ns += self.queue.uncertainties_ns
         self._bursts += burst
@@ -333,13 +333,13 @@ class SampleBuffer:
         """
         rows = len(self.times_ns)
         if self._set_up_again:
-            self._reconfigured.append(rows)
+            self._flagged[RECONFIGURED].append(rows)
             self._set_up_again = False
         first_lost = [0] if self._missing and 0 not in gaps else []
-        self._lost_before += [rows + row for row in (*first_lost, *gaps)]
+        self._flagged[LOST_BEFORE] += [rows + row for row in (*first_lost, *gaps)]
         self._missing = False
         if overrun:
-            self._overrun.append(rows)
+            self._flagged[OVERRUN].append(rows)
         self.times_ns += times_ns
         self._uncertainties_ns += uncertainties_ns
         self._bursts += bursts
@@ -349,12 +349,10 @@ class SampleBuffer:
         count = max(len(self.times_ns) - row, 0)
         if count:
             self._missing = True
-            self._set_up_again |= any(index >= row for index in self._reconfigured)
+            self._set_up_again |= any(index >= row for index in self._flagged[RECONFIGURED])
             del self.times_ns[row:], self._uncertainties_ns[row:], self._bursts[row * self.driver.burst :]
-            self._lost_before = [index for index in self._lost_before if index < row]
-            self._overrun = [index for index in self._overrun if index < row]
-            self._doubtful = [index for index in self._doubtful if index < row]
-            self._reconfigured = [index for index in self._reconfigured if index < row]
+            for rows in self._flagged.values():
+                rows[:] = [index for index in rows if index < row]
             self._suspect = [
                 (min(first, row), None if last is None else min(last, row)) for first, last in self._suspect
             ]
@@ -448,12 +446,8 @@ class SampleBuffer:
         status = decoded.status.copy()
         if self.route.sensor.chip_rate_hz > self.rate_hz:
             status &= ~np.uint16(OVERRUN)
-        for rows, flag in (
-            (self._lost_before, LOST_BEFORE),
-            (self._overrun, OVERRUN),
-            (self._reconfigured, RECONFIGURED),
-        ):
-            if rows:
+        for flag, rows in self._flagged.items():
+            if rows and flag != _DOUBTFUL:
                 status[[row for row in rows if row < count]] |= flag
         for first, last in self._suspect:
             status[first:last] |= SUSPECT
@@ -462,7 +456,7 @@ class SampleBuffer:
         times = np.array(self.times_ns[:count], np.int64) - epoch_ns
         self.newest_ns = self.times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
-        self.doubtful_rows[[row for row in self._doubtful if row < count]] = True
+        self.doubtful_rows[[row for row in self._flagged[_DOUBTFUL] if row < count]] = True
         further = dict(decoded.compensated)
         if self._uncertainties_ns:
             further[TIME_UNCERTAINTY] = 1e-9 * np.array(self._uncertainties_ns[:count])
@@ -486,10 +480,8 @@ class SampleBuffer:
 
     def _forget(self, count: int) -> None:
         del self.times_ns[:count], self._uncertainties_ns[:count], self._bursts[: count * self.driver.burst]
-        self._lost_before = _later(self._lost_before, count)
-        self._overrun = _later(self._overrun, count)
-        self._doubtful = _later(self._doubtful, count)
-        self._reconfigured = _later(self._reconfigured, count)
+        for rows in self._flagged.values():
+            rows[:] = [row - count for row in rows if row >= count]
         self._since_set_up = max(self._since_set_up - count, 0)
         self._still_row = max(self._still_row - count, 0)
         self._suspect = [
@@ -511,11 +503,6 @@ def _frozen_s(sensor: SensorConfig) -> float:
     """Return how long a reading must stay constant before the sensor counts as frozen."""
     bandwidth_hz = sensor.chip_bandwidth_hz
     return max(_FROZEN_S, _FROZEN_BANDWIDTHS / bandwidth_hz if bandwidth_hz else 0.0)
-
-
-def _later(rows: Sequence[int], count: int) -> list[int]:
-    """Return row numbers as they are after the oldest `count` rows were removed."""
-    return [row - count for row in rows if row >= count]
 
 
 IDLE_NS = 450_000_000
@@ -602,6 +589,4 @@ def selected(block: Block, accepted: Booleans, inherited: np.uint16) -> tuple[Bl
             inherited = np.uint16(0)
         else:
             inherited |= (status[row] & _INHERITED) | np.uint16(LOST_BEFORE)
-    temperature = None if block.temperature_counts is None else block.temperature_counts[accepted]
-    compensated = {name: column[accepted] for name, column in block.compensated.items()}
-    return Block(block.time[accepted], block.counts[accepted], status[accepted], temperature, compensated), inherited
+    return block._replace(status=status).rows(accepted), inherited

@@ -379,8 +379,7 @@ def _lost_setting(driver: Driver) -> str:
         for setting in driver.watched:
             value = driver.registers.read_back(setting.register)
             if value & setting.mask != setting.value:
-                configured = setting.into(value)
-                return f": register {setting.register.address:#04x} reads {value:#04x}, configured {configured:#04x}"
+                return f": {setting.mismatch(value)}"
     return ""
 
 

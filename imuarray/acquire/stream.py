@@ -84,10 +84,7 @@ class StreamHealth:
         rows.buffer.distrust(check.good_rows)
         if id(rows) not in self.failed:
             self.failed[id(rows)] = rows
-            address, configured = setting.register.address, setting.into(value)
-            self._note(
-                rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {configured:#04x}"
-            )
+            self._note(rows, "configuration", setting.mismatch(value))
 
     def doubt_queue(self, rows: Rows) -> None:
         """Have the chip configured again, because the bytes from its queue are not a sequence of samples."""

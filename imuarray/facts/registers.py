@@ -31,6 +31,10 @@ class Setting:
             raise ValueError(f"register {self.register.address:#04x}: bits {other.mask & self.mask:#04x} set twice")
         return Setting(self.register, self.mask | other.mask, self.value | other.value)
 
+    def mismatch(self, byte: int) -> str:
+        """Return a clause that says what the register reads, and what it should."""
+        return f"register {self.register.address:#04x} reads {byte:#04x}, configured {self.into(byte):#04x}"
+
     def into(self, byte: int) -> int:
         """`byte` with these bits replaced: the middle of a read-modify-write."""
         return byte & ~self.mask & 0xFF | self.value

@@ -155,8 +155,10 @@ class NamedColumn:
                         return self._cache.rows(self._column, self._place, start, stop)
                 if stop > start and (rows := self._cache.held(self._place, start, stop)) is not None:
                     return rows
-            elif isinstance(key, int) and (row := self._cache.held(self._place, *self._single_row(key))) is not None:
-                return row[0]
+            elif isinstance(key, int):
+                start = key + len(self) if key < 0 else key
+                if (rows := self._cache.held(self._place, start, start + 1)) is not None:
+                    return rows[0]
         try:
             return self._column[key]
         except UNREADABLE:
@@ -164,11 +166,6 @@ class NamedColumn:
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.asarray(self[()] if self.shape == () else self[:], dtype)
-
-    def _single_row(self, row: int) -> tuple[int, int]:
-        """Return the bounds of the slice of a single row, which counts from the end if it is negative."""
-        start = row + len(self) if row < 0 else row
-        return start, start + 1
 
     def _damaged(self, key: Any) -> LogError:
         """Return an error message that names the requested rows."""

@@ -365,15 +365,10 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
         file.close()
         raise
     file.close()
-    return _open_unfinished(path, thorough), []
-
-
-def _open_unfinished(path: Path, thorough: bool) -> LiveView | RebuiltFile:
-    """Open a log that was closed properly but never finished, and whose journal is missing."""
-    unfinished = open_interrupted(path, thorough=thorough)
+    unfinished = open_interrupted(path, thorough=thorough)  # closed properly but not finished, and without a journal
     if unfinished is None:  # it was finished meanwhile
         raise LogError(f"{path}: changed while it was opened; open it again")
-    return unfinished
+    return unfinished, []
 
 
 def open_log(path: str | PathLike[str]) -> Log:

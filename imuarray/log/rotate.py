@@ -123,9 +123,9 @@ class RotatingWriter:
             return
         path = part_of(self.path, number + 1)
         if not (path.exists() or journal_of(path).exists()):
-            self._ahead[number] = self._beginning.submit(self._begun_ahead, path)
+            self._ahead[number] = self._beginning.submit(self._create_kept, path)
 
-    def _begun_ahead(self, path: Path) -> LogWriter:
+    def _create_kept(self, path: Path) -> LogWriter:
         part = self._make(path)
         part.keep()
         return part
@@ -134,9 +134,7 @@ class RotatingWriter:
         """Add rows of one sensor, to the parts in whose time they lie. ValueError, DiskFullError, LogError."""
         self._raise()
         for number, rows in self._split(block.time):
-            temperature = None if block.temperature_counts is None else block.temperature_counts[rows]
-            compensated = {name: column[rows] for name, column in block.compensated.items()}
-            part = Block(block.time[rows], block.counts[rows], block.status[rows], temperature, compensated)
+            part = block.rows(rows)
             self._part(number).append(sensor, part)
             self._last_ns[sensor] = int(part.time[-1])
             self._prepare_next(self._last_ns[sensor])
@@ -146,12 +144,7 @@ class RotatingWriter:
         """Add rows to `/truth` or `/reference`."""
         self._raise()
         for number, part_rows in self._split(rows.time):
-            part = Stimulus(
-                rows.time[part_rows],
-                rows.specific_force[part_rows],
-                rows.angular_rate[part_rows],
-                rows.temperature[part_rows],
-            )
+            part = Stimulus._make(column[part_rows] for column in rows)
             self._part(number).stimulus(name, part)
             self._last_ns[name] = int(part.time[-1])
         self._turn()

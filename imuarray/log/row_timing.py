@@ -143,16 +143,8 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     in_bursts = makes_up and _is_burst(length_s, rows_after, hurry)
     if in_bursts and np.mean(is_lost) > LOST_SHARE:
         return steady
-    return RowTiming(
-        "bursts" if in_bursts else "stalls",
-        rows,
-        seconds,
-        usual_s,
-        len(gap_rows),
-        float(np.median(length_s)),
-        float(length_s.sum()),
-        period_rows if is_periodic else 0,
-    )
+    kind: Kind = "bursts" if in_bursts else "stalls"
+    return replace(steady, kind=kind, period_rows=period_rows if is_periodic else 0)
 
 
 def _intervals_ns(sensor: SensorLog) -> Integers:
@@ -216,19 +208,16 @@ class EvenRows:
 
     def stamps(self, start: int, stop: int) -> Times:
         """Return (stop - start,) ns since the log's epoch."""
-        return np.asarray(np.rint(self._times_at(np.arange(start, stop, dtype=float))) + self._origin_ns, np.int64)
+        rows, knots_ns = np.arange(start, stop, dtype=float), self.knots_ns - self._origin_ns
+        piece = np.clip(np.searchsorted(self.knot_rows, rows, side="right") - 1, 0, len(self.knot_rows) - 2)
+        slope = np.diff(knots_ns) / np.diff(self.knot_rows)
+        times_ns = knots_ns[piece] + slope[piece] * (rows - self.knot_rows[piece])  # extrapolated beyond the knots
+        return np.asarray(np.rint(times_ns) + self._origin_ns, np.int64)
 
     @cached_property
     def _origin_ns(self) -> int:
         """The first knot, subtracted before floating-point arithmetic: a day in ns has more digits than a float."""
         return int(self.knots_ns[0])
-
-    def _times_at(self, rows: Floats) -> Floats:
-        """Return times of rows in ns since the origin, extrapolated beyond the first and the last knot."""
-        knots_ns = self.knots_ns - self._origin_ns
-        piece = np.clip(np.searchsorted(self.knot_rows, rows, side="right") - 1, 0, len(self.knot_rows) - 2)
-        slope = np.diff(knots_ns) / np.diff(self.knot_rows)
-        return np.asarray(knots_ns[piece] + slope[piece] * (rows - self.knot_rows[piece]))
 
 
 def even_rows(sensor: SensorLog) -> EvenRows:

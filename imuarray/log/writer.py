@@ -36,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray import __version__
-from imuarray.arrays import Floats, Times
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.errors import NO_ROOM, DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
 from imuarray.log.disk_space import WATERMARK, Reserve, free_bytes, reserve_of, sync_folder, unwritable, write_errors
 from imuarray.log.format import (
@@ -270,6 +270,12 @@ class Block(NamedTuple):
     status: npt.NDArray[np.uint16]
     temperature_counts: npt.NDArray[np.int16] | None = None
     compensated: Mapping[str, Floats] = {}
+
+    def rows(self, chosen: slice | Booleans) -> Block:
+        """Return some of the rows."""
+        degrees = None if self.temperature_counts is None else self.temperature_counts[chosen]
+        compensated = {name: column[chosen] for name, column in self.compensated.items()}
+        return Block(self.time[chosen], self.counts[chosen], self.status[chosen], degrees, compensated)
 
 
 class Stimulus(NamedTuple):
