@@ -1,5 +1,5 @@
-/* Passes over long series: medians of windows that move, figures of consecutive windows, sums of second differences, and
-   products of rows with later ones. `imuarray.series` has the Python side; NumPy does the same, to rounding, by
+/* Passes over long series: medians of windows that move, figures of consecutive windows, sums of second differences, products
+   of rows with later ones, and sums of powers in parts. `imuarray.series` has the Python side; NumPy does the same, to rounding, by
    sorting every window and by an array for each step. */
 
 #include "_buffers.h"
@@ -200,7 +200,107 @@ static PyObject *lagged_products(PyObject *module, PyObject *args) {
     return released(views, held);
 }
 
+/* Sums of the powers 1 to 4 of x (n), which a processor adds in lanes, to sums (4) that are `apart` from each other. */
+CLONES static void add_powers(const double *x, Py_ssize_t n, double *sums, Py_ssize_t apart) {
+    double lanes[4][LANES] = {{0}}, rest[4] = {0};
+    Py_ssize_t i = 0;
+    for (; i + LANES <= n; i += LANES)
+        for (int lane = 0; lane < LANES; lane++) {
+            const double value = x[i + lane], square = value * value, cube = square * value;
+            lanes[0][lane] += value;
+            lanes[1][lane] += square;
+            lanes[2][lane] += cube;
+            lanes[3][lane] += cube * value;
+        }
+    for (; i < n; i++) {
+        const double value = x[i], square = value * value, cube = square * value;
+        rest[0] += value;
+        rest[1] += square;
+        rest[2] += cube;
+        rest[3] += cube * value;
+    }
+    for (int power = 0; power < 4; power++) {
+        for (int lane = 0; lane < LANES; lane++) rest[power] += lanes[power][lane];
+        sums[power * apart] = rest[power];
+    }
+}
+
+/* Sums (4, s, k) of the powers of k lines (k, n) in parts that begin at starts (s), ascending. */
+static PyObject *part_powers(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t k, n, s;
+    if (!PyArg_ParseTuple(args, "O!(nnn)", &PyTuple_Type, &sequence, &k, &n, &s)) return NULL;
+    if (!sizes_allowed(k >= 0 && n >= 0 && s >= 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(k * n), 8 * s, DOUBLES(4 * s * k)};
+    Py_buffer views[3];
+    Py_ssize_t held = hold(sequence, views, 3, bytes, 2);
+    for (Py_ssize_t part = 0; part < s && !PyErr_Occurred(); part++) {
+        const int64_t *starts = views[1].buf;
+        const int64_t start = starts[part], stop = part + 1 < s ? starts[part + 1] : (int64_t)n;
+        if (start < 0 || stop < start || stop > n) {
+            PyErr_SetString(PyExc_ValueError, "the starts are not ascending rows");
+            break;
+        }
+        for (Py_ssize_t line = 0; line < k; line++)
+            add_powers((const double *)views[0].buf + line * n + start, (Py_ssize_t)(stop - start),
+                       (double *)views[2].buf + part * k + line, s * k);
+    }
+    return released(views, held);
+}
+
+/* Sums of the second and fourth powers of the second differences of x at a distance, of `count` of them `stride` apart. */
+CLONES static void add_changes(const double *x, Py_ssize_t count, Py_ssize_t distance, Py_ssize_t stride, double *square,
+                               double *fourth) {
+    double squares[LANES] = {0}, fourths[LANES] = {0};
+    Py_ssize_t i = 0;
+    for (; i + LANES <= count; i += LANES)
+        for (int lane = 0; lane < LANES; lane++) {
+            const double *at = x + (i + lane) * stride;
+            const double change = (at[2 * distance] - at[distance]) - (at[distance] - at[0]), size = change * change;
+            squares[lane] += size;
+            fourths[lane] += size * size;
+        }
+    for (; i < count; i++) {
+        const double *at = x + i * stride;
+        const double change = (at[2 * distance] - at[distance]) - (at[distance] - at[0]), size = change * change;
+        squares[0] += size;
+        fourths[0] += size * size;
+    }
+    *square = *fourth = 0;
+    for (int lane = 0; lane < LANES; lane++) *square += squares[lane], *fourth += fourths[lane];
+}
+
+/* For d rows (d, 4) of first, count, distance and stride: sums (2, d, k) of the second and fourth powers of the second
+   differences of k lines (k, m). */
+static PyObject *change_powers(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t k, m, d;
+    if (!PyArg_ParseTuple(args, "O!(nnn)", &PyTuple_Type, &sequence, &k, &m, &d)) return NULL;
+    if (!sizes_allowed(k >= 0 && m >= 0 && d >= 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(k * m), 8 * 4 * d, DOUBLES(2 * d * k)};
+    Py_buffer views[3];
+    Py_ssize_t held = hold(sequence, views, 3, bytes, 2);
+    for (Py_ssize_t row = 0; row < d && !PyErr_Occurred(); row++) {
+        const int64_t *each = (const int64_t *)views[1].buf + 4 * row;
+        const int64_t first = each[0], count = each[1], distance = each[2], stride = each[3];
+        if (first < 0 || count < 0 || distance < 1 || stride < 1 || count > m || stride > m || distance > m ||
+            (count && first + (count - 1) * stride + 2 * distance >= m)) {
+            PyErr_SetString(PyExc_ValueError, "a difference lies beyond the line");
+            break;
+        }
+        double *sums = (double *)views[2].buf + row * k;
+        for (Py_ssize_t line = 0; line < k; line++)
+            add_changes((const double *)views[0].buf + line * m + first, (Py_ssize_t)count, (Py_ssize_t)distance,
+                        (Py_ssize_t)stride, sums + line, sums + d * k + line);
+    }
+    return released(views, held);
+}
+
 static PyMethodDef methods[] = {
+    {"part_powers", part_powers, METH_VARARGS, "part_powers(arrays, sizes): sums of powers in parts of lines."},
+    {"change_powers", change_powers, METH_VARARGS, "change_powers(arrays, sizes): sums of powers of second differences."},
     {"lagged_products", lagged_products, METH_VARARGS, "lagged_products(arrays, sizes): of lines with themselves, later."},
     {"medians", medians, METH_VARARGS, "medians(arrays, sizes): medians of windows, and whether all were possible."},
     {"windows", windows, METH_VARARGS, "windows(arrays, sizes, begin, width, flags): figures of consecutive windows."},

@@ -87,3 +87,28 @@ def lagged_products(lines: Floats, lags: int) -> Floats | None:
     result = np.empty((len(lines), lags))
     _series.lagged_products((np.ascontiguousarray(lines, float), result), (*lines.shape, lags))
     return result
+
+
+def part_powers(lines: Floats, starts: Indices) -> Floats | None:
+    """Return the sums (4, s, k) of the powers 1 to 4 of `lines` (k, n) in the parts that begin at the rows `starts`
+    (s,), the last of which ends with the lines. None without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty((4, len(starts), len(lines)))
+    arrays = np.ascontiguousarray(lines, float), np.ascontiguousarray(starts, np.int64), result
+    _series.part_powers(arrays, (*lines.shape, len(starts)))
+    return result
+
+
+def change_powers(lines: Floats, changes: Sequence[tuple[int, int, int, int]]) -> Floats | None:
+    """Return the sums (2, d, k) of the squares and fourth powers of d kinds of second differences x[i + 2 m] - 2 x[i +
+    m] + x[i] of `lines` (k, n): for each kind the first i, their number, the distance m and the step from one i to the
+    next. None without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty((2, len(changes), len(lines)))
+    arrays = np.ascontiguousarray(lines, float), np.array(changes, np.int64).reshape(-1, 4), result
+    _series.change_powers(arrays, (*lines.shape, len(changes)))
+    return result

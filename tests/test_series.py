@@ -86,6 +86,25 @@ def test_lagged_products_equal_their_definition(rows: int, lags: int) -> None:
     np.testing.assert_allclose(result, wanted, rtol=1e-12, atol=1e-12)
 
 
+def test_powers_in_parts_equal_their_definition() -> None:
+    """Parts of no row, of one, and of more than a processor adds at once."""
+    lines, starts = np.random.default_rng(5).normal(size=(3, 100)), np.array([0, 1, 1, 40])
+    result = series.part_powers(lines, starts)
+    parts = [lines[:, :1], lines[:, :0], lines[:, 1:40], lines[:, 40:]]
+    wanted = [[(part**power).sum(axis=1) for part in parts] for power in (1, 2, 3, 4)]
+    np.testing.assert_allclose(result, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_powers_of_second_differences_equal_their_definition() -> None:
+    """Of 90 - 2 x 4 neighbouring ones, and of nine with larger distances and steps, the last of which ends the line."""
+    lines = np.random.default_rng(6).normal(size=(2, 90))
+    result = series.change_powers(lines, [(0, 82, 4, 1), (1, 9, 16, 7)])
+    fine = lines[:, 8:] - 2 * lines[:, 4:-4] + lines[:, :-8]
+    coarse = np.stack([lines[:, at + 32] - 2 * lines[:, at + 16] + lines[:, at] for at in range(1, 58, 7)], axis=1)
+    wanted = [[(changes**power).sum(axis=1) for changes in (fine, coarse)] for power in (2, 4)]
+    np.testing.assert_allclose(result, wanted, rtol=1e-12)
+
+
 def test_a_compiled_autocorrelation_equals_that_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.random.default_rng(4).integers(-99, 99, (30_000, 3))
     results = []
@@ -111,5 +130,9 @@ def test_other_sizes_are_refused() -> None:
         _series.second_differences((numbers,) * 3, (12, 12), 2, 0, 1)
     with pytest.raises(ValueError, match="sizes"):
         _series.lagged_products((numbers, numbers), (3, 4, -1))
+    with pytest.raises(ValueError, match="ascending"):
+        _series.part_powers((numbers, np.array([0, 13]), np.zeros(8)), (1, 12, 2))
+    with pytest.raises(ValueError, match="beyond"):
+        _series.change_powers((numbers, np.array([0, 11, 1, 1]), np.zeros(2)), (1, 12, 1))
     with pytest.raises(ValueError, match="distance"):
         _series.second_differences((numbers, np.zeros(12, np.int64), numbers.copy()), (12, 12), 8, 0, 12)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray import series
 from imuarray.gap.statistics.haar import FINEST, HaarTally
 
 OCTAVES = 7
@@ -45,3 +47,15 @@ def test_the_variance_of_white_noise_decreases_with_the_averaging_time() -> None
     tally = HaarTally(OCTAVES)
     tally.update(values)
     np.testing.assert_allclose(tally.result().variance * 2.0 ** np.arange(OCTAVES)[:, None], 16.0, rtol=0.15)
+
+
+def test_variances_without_compiled_code_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = []
+    for is_compiled in (series.COMPILED, False):
+        monkeypatch.setattr(series, "COMPILED", is_compiled)
+        tally = HaarTally(OCTAVES)
+        for block in np.split(np.random.default_rng(2).normal(size=(3, 3000)), 3, axis=1):
+            tally.update(block)
+        results.append(tally.result())
+    for compiled, plain in zip(*results, strict=True):
+        np.testing.assert_allclose(compiled, plain, rtol=1e-12)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from imuarray import series
 from imuarray.gap.statistics.segments import Segments, SegmentTally
 from tests.selection import examples
 
@@ -46,6 +48,15 @@ def test_moments_equal_scipy(seed: int, parts: int, cuts: list[int]) -> None:
         np.testing.assert_allclose(found.third[part], stats.moment(rows, 3), atol=1e-4)
         np.testing.assert_allclose(found.fourth[part], stats.moment(rows, 4), rtol=1e-7)
         np.testing.assert_allclose(found.time_s[part], time_ns[inside].mean() * 1e-9, rtol=1e-12)
+
+
+def test_moments_without_compiled_code_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    time_ns, counts = np.arange(100) * SECOND // 10, np.random.default_rng(3).integers(-40, 60, (100, 3)).astype(float)
+    compiled = tallied(time_ns, counts, 7)
+    monkeypatch.setattr(series, "COMPILED", False)
+    plain = tallied(time_ns, counts, 7)
+    for moment in ("mean", "variance", "third", "fourth"):
+        np.testing.assert_allclose(getattr(compiled, moment), getattr(plain, moment), rtol=1e-12, atol=1e-9)
 
 
 def test_temperature_is_that_of_the_reference() -> None:

@@ -9,12 +9,13 @@ times, and for short series its identification of noise types would take longer 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
+from imuarray.series import change_powers
 
 _FINE = 4
 """Number of octaves that are computed from sums of 1 and 2 rows, block by block; the others use sums of 4 rows."""
@@ -53,11 +54,10 @@ class HaarTally:
         sums = values
         for number, level in enumerate((self._rows, self._twos)):
             line = level.line(sums)
-            for distance, differences in level.differences(line):
-                self._add(number + distance.bit_length() - 1, differences)
+            self._add(number, _cumulative(line), level.differences(line.shape[1]))
             sums = level.coarser(line)
-        for number, differences in self._fours.differences(sums):
-            self._add(_FINE + number, differences)
+        line, differences = self._fours.differences(sums)
+        self._add(0, line, differences)
 
     def result(self) -> Haar:
         """Return the variances of all values added so far."""
@@ -69,14 +69,48 @@ class HaarTally:
         np.divide(self._fourths * np.maximum(terms, 1)[:, None], self._squares**2, out=kurtosis, where=known)
         return Haar(self._squares / scale[:, None], terms, kurtosis)
 
-    def _add(self, octave: int, differences: Floats) -> None:
-        self._terms[octave] += differences.shape[1]
-        if octave < FINEST:
-            self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
-            return
-        np.multiply(differences, differences, out=differences)
-        self._squares[octave] += np.add.reduce(differences, axis=1)
-        self._fourths[octave] += np.einsum("kn,kn->k", differences, differences)
+    def _add(self, octave: int, cumulative: Floats, differences: Sequence[_Difference]) -> None:
+        """Add differences of neighbouring windows of cumulative sums (k, n); octaves are counted from `octave` on."""
+        known = [each for each in differences if each.number > 0]
+        changes = [(each.first, each.number, each.length, each.step) for each in known]
+        sums = change_powers(cumulative, changes)
+        squares, fourths = _change_powers(cumulative, changes) if sums is None else sums
+        for each, square, fourth in zip(known, squares, fourths, strict=True):
+            at = octave + each.octave
+            self._terms[at] += each.number
+            self._squares[at] += square
+            if at >= FINEST:
+                self._fourths[at] += fourth
+
+
+class _Difference(NamedTuple):
+    """The differences of neighbouring windows of `length` sums at an octave: the first window, their number, and the
+    step from one window to the next.
+    """
+
+    octave: int
+    first: int
+    number: int
+    length: int
+    step: int
+
+
+def _cumulative(line: Floats) -> Floats:
+    """Return the cumulative sums (k, n + 1) of a line (k, n), from 0 on."""
+    sums = np.zeros((len(line), line.shape[1] + 1))
+    np.cumsum(line, axis=1, out=sums[:, 1:])
+    return sums
+
+
+def _change_powers(lines: Floats, changes: Sequence[tuple[int, int, int, int]]) -> Floats:
+    """Return what `imuarray.series.change_powers` returns, without compiled code."""
+    powers = np.zeros((2, len(changes), len(lines)))
+    for at, (first, count, length, step) in enumerate(changes):
+        end = first + (count - 1) * step + 1
+        begin, middle, last = (lines[:, first + shift : end + shift : step] for shift in (0, length, 2 * length))
+        squares = ((last - middle) - (middle - begin)) ** 2
+        powers[:, at] = np.add.reduce(squares, axis=1), np.einsum("kn,kn->k", squares, squares)
+    return powers
 
 
 class _Level:
@@ -95,16 +129,13 @@ class _Level:
         self._kept = line[:, -reach:].copy()
         return line
 
-    def differences(self, line: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield each distance with the differences (k, m) of neighbouring sums that end in the new part of a line."""
-        window, length = line, 1
-        for distance in (1, 2, 4):
-            if distance > length:
-                window, length = window[:, length:] + window[:, :-length], distance
-            if distance in self._distances:
-                first = max(self._new - 2 * distance + 1, 0)
-                if window.shape[1] - first > distance:
-                    yield distance, window[:, first + distance :] - window[:, first:-distance]
+    def differences(self, count: int) -> list[_Difference]:
+        """Return the differences of neighbouring sums that end in the new part of a line of `count` sums."""
+        firsts = {distance: max(self._new - 2 * distance + 1, 0) for distance in self._distances}
+        return [
+            _Difference(distance.bit_length() - 1, first, count - 2 * distance + 1 - first, distance, 1)
+            for distance, first in firsts.items()
+        ]
 
     def coarser(self, line: Floats) -> Floats:
         """Return the sums of pairs; pairs continue across blocks."""
@@ -124,22 +155,20 @@ class _Coarse:
         self._running: Floats = np.zeros((columns, 1))
         self._next = [0] * octaves
 
-    def differences(self, sums: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield the octaves with the differences (k, m) of windows that end in the next sums (k, n); windows begin at
-        every quarter of their length.
+    def differences(self, sums: Floats) -> tuple[Floats, list[_Difference]]:
+        """Return the running sum with that of the next sums (k, n), and the differences of windows that end in the new
+        part; windows begin at every quarter of their length.
         """
         cumulative = np.cumsum(sums, axis=1)
         cumulative += self._running[:, -1:]
         line = np.concatenate([self._running, cumulative], axis=1)
+        differences = []
         for octave, first in enumerate(self._next):
-            stride = 1 << octave
-            count = (line.shape[1] - 1 - first) // stride - 7
-            if count > 0:
-                self._next[octave] = first + count * stride
-                end = self._next[octave] - stride + 1
-                middle = line[:, first + 4 * stride : end + 4 * stride : stride]
-                second = line[:, first + 8 * stride : end + 8 * stride : stride] - middle
-                yield octave, second - (middle - line[:, first:end:stride])
+            step = 1 << octave
+            count = max((line.shape[1] - 1 - first) // step - 7, 0)
+            self._next[octave] = first + count * step
+            differences.append(_Difference(_FINE + octave, first, count, 4 * step, step))
         consumed = min(self._next, default=line.shape[1] - 1)
         self._next = [first - consumed for first in self._next]
         self._running = line[:, consumed:].copy()
+        return line, differences

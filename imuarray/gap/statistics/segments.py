@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats, Indices, Integers, Times
 from imuarray.gap.recording.recordings import Temperature
+from imuarray.series import part_powers
 
 POWERS = 4
 """Highest power of the readings that is summed."""
@@ -71,11 +72,8 @@ class SegmentTally:
         part, starts, rows = self._parts(time_ns)
         self._rows[part] += rows
         self._since_ns[part] += np.add.reduceat(np.asarray(time_ns - self._edges[0], float), starts)
-        powers = np.empty((POWERS, *apart.shape))
-        powers[0] = apart
-        for power in range(1, POWERS):
-            np.multiply(powers[power - 1], apart, out=powers[power])
-        self._powers[:, part] += np.add.reduceat(powers, starts, axis=2).transpose(0, 2, 1)
+        compiled = part_powers(apart, starts)
+        self._powers[:, part] += _part_powers(apart, starts) if compiled is None else compiled
         if thermometers is not None:
             self._has_thermometer = True
             self._thermometer[:, part] += np.add.reduceat(np.atleast_2d(thermometers).astype(float), starts, axis=1)
@@ -125,6 +123,15 @@ class SegmentTally:
         starts[0] = 0
         rows = np.concatenate([starts[1:], [len(time_ns)]]) - starts
         return part[rows > 0], starts[rows > 0], rows[rows > 0]
+
+
+def _part_powers(apart: Floats, starts: Indices) -> Floats:
+    """Return what `imuarray.series.part_powers` returns, without compiled code."""
+    powers = np.empty((POWERS, *apart.shape))
+    powers[0] = apart
+    for power in range(1, POWERS):
+        np.multiply(powers[power - 1], apart, out=powers[power])
+    return np.asarray(np.add.reduceat(powers, starts, axis=2).transpose(0, 2, 1))
 
 
 def split_replicates(columns: Floats, replicates: int) -> Floats:
