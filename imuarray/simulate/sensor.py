@@ -137,7 +137,7 @@ class SimulatedSensor:
             1 + 2 * self._is_polled + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         )
         self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluated)
-        self._stretch: Callable[[int, int], Chunk] = lru_cache(maxsize=4)(self._evaluate)
+        self._alone: Callable[[int, int], Block] = self._rows_alone
         self._shared: _SharedSignal | None = None
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
@@ -149,11 +149,10 @@ class SimulatedSensor:
             key = (owner, number, swapped)
             return memory.recall(key, lambda: self._evaluated(number, swapped), lambda rows: rows.nbytes)
 
-        def stretch(begin: int, end: int) -> Chunk:
-            key = (owner, "alone", begin, end)
-            return memory.recall(key, lambda: self._evaluate(begin, end), lambda rows: rows.nbytes)
+        def alone(begin: int, end: int) -> Block:
+            return memory.recall((owner, "alone", begin, end), lambda: self._rows_alone(begin, end), _bytes_of_rows)
 
-        self._chunk, self._stretch = chunk, stretch
+        self._chunk, self._alone = chunk, alone
 
     def share(self, memory: DrawMemory, owner: Hashable, count: int) -> None:
         """Keep the signal after the first `count` effects in a memory, in which it belongs to `owner`: simulations that
@@ -204,22 +203,11 @@ class SimulatedSensor:
 
     def _arriving(self, number: int, start: int, stop: int, demand: Demand) -> Block:
         begin, end = max(start, number * CHUNK), min(stop, (number + 1) * CHUNK, self.rows)
-        if demand is Demand.FEW and end - begin + self._lookback < CHUNK // 2:
-            chunk = self._stretch(begin, end)
-        elif demand is not Demand.ANY and _WORTH_IT <= end - begin < CHUNK - self._lookback:
-            chunk = self._evaluate(begin, end)
-        else:
-            chunk, begin = self._chunk(number, True), number * CHUNK
-        rows: Any = slice(max(start - begin, 0), min(stop - begin, len(chunk.kept)))
-        if not chunk.kept[rows].all():
-            rows = rows.start + np.flatnonzero(chunk.kept[rows])
-        temperature = chunk.codes.temperature_counts
-        return Block(
-            chunk.stamp_ns[rows],
-            chunk.counts[rows],
-            chunk.status[rows],
-            None if temperature is None else temperature[rows].astype(np.int16),
-        )
+        is_few = demand is Demand.FEW and end - begin + self._lookback < CHUNK // 2
+        if is_few or (demand is not Demand.ANY and _WORTH_IT <= end - begin < CHUNK - self._lookback):
+            return self._alone(begin, end)
+        chunk, begin = self._chunk(number, True), number * CHUNK
+        return _arriving_of(chunk, max(start - begin, 0), min(stop - begin, len(chunk.kept)))
 
     def _places(self) -> Iterator[Place]:
         """Yield a place for each effect; several effects of one kind have different random streams."""
@@ -235,6 +223,10 @@ class SimulatedSensor:
     def _evaluated(self, number: int, swapped: bool) -> Chunk:
         """Return one chunk."""
         return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
+
+    def _rows_alone(self, begin: int, end: int) -> Block:
+        """Return those rows of a part of a chunk that arrive."""
+        return _arriving_of(self._evaluate(begin, end), 0, end - begin)
 
     def _evaluate(self, begin: int, end: int, swapped: bool = True) -> Chunk:
         """Compute rows begin ... end - 1, with the sensor's own channel swap, or without it if a neighbour requests
@@ -376,6 +368,26 @@ class SimulatedBarometer:
     def lost_rows(self, start: int, stop: int) -> Integers:
         """Return no rows: a barometer loses none."""
         return np.zeros(0, np.int64)
+
+
+def _arriving_of(chunk: Chunk, start: int, stop: int) -> Block:
+    """Return those of the rows start ... stop - 1 of a chunk that arrive."""
+    rows: Any = slice(start, stop)
+    if not chunk.kept[rows].all():
+        rows = start + np.flatnonzero(chunk.kept[rows])
+    temperature = chunk.codes.temperature_counts
+    return Block(
+        chunk.stamp_ns[rows],
+        chunk.counts[rows],
+        chunk.status[rows],
+        None if temperature is None else temperature[rows].astype(np.int16),
+    )
+
+
+def _bytes_of_rows(block: Block) -> int:
+    """Return the size in bytes of the columns of a block."""
+    columns = (block.time, block.counts, block.status, block.temperature_counts)
+    return sum(column.nbytes for column in columns if column is not None)
 
 
 def _changes_input_signal(effect: Effect) -> bool:

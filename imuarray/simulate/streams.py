@@ -93,6 +93,8 @@ class Stream:
 
     @cached_property
     def _normal_chunk(self) -> Callable[[int, int], Reals]:
+        if self.memory is not None:  # which keeps what is used again: thousands of streams would keep too much
+            return self._draw_normal
         return lru_cache(maxsize=_KEPT)(self._draw_normal)
 
     @cached_property

@@ -106,14 +106,14 @@ _ROWS = 8 * CHUNK
 four chunks.
 """
 
-_MEMORY_BYTES = 1 << 26
-"""Size of the cache of draws and motions of a process, in bytes: enough for a sensor in two replicates of an hour at
+_MEMORY_BYTES = 1 << 27
+"""Size of the cache of draws and motions of a process, in bytes: enough for two sensors in two replicates of an hour at
 100 Hz, or in twelve of ten minutes.
 """
 
-_ROWS_BYTES = 1 << 25
-"""Size of the cache of rows of sensors that others are compared with, in bytes per process: enough for an hour of six
-sensors at 40 Hz, or for several motions of some minutes in eight replicates.
+_ROWS_BYTES = 1 << 27
+"""Size of the cache of rows of sensors that others are compared with, in bytes per process: enough for six sensors in
+two replicates of two hours at 40 Hz.
 """
 
 _SIGNALS_BYTES = 1 << 26
@@ -126,8 +126,11 @@ _KEPT_LOGS = 256
 """
 
 _KEPT = 128
-"""Number of simulated sensors, and of other results per replicate, that are cached: enough for eight replicates of
-eight sensors in two logs.
+"""Number of results per replicate that are cached."""
+
+_KEPT_SOURCES = 512
+"""Number of simulated sensors, with the summaries of their rows, that are cached: enough for two replicates of nine
+sensors in 28 logs.
 """
 
 
@@ -348,7 +351,7 @@ class Stage:
                 log, name, effects, number, demand, lambda sensor: sensor.remember(self._rows_memory, owner)
             )
 
-        return lru_cache(maxsize=_KEPT)(source)
+        return lru_cache(maxsize=_KEPT_SOURCES)(source)
 
     @cached_property
     def _memory(self) -> DrawMemory:

@@ -214,17 +214,30 @@ class _PhaseSurvey(NamedTuple):
     def summarise_in_one_pass(self, sources: Mapping[str, Source]) -> PhaseSummary:
         """Summarise all sensors together, one block at a time."""
         phase, grids = self.phase, self.layout.grids
+        known: dict[str, Summary] = {}
+        if not self.recorded:
+            places = {name: (phase, grids[name]) for name in sources}
+            known = {name: sources[name].cache[at] for name, at in places.items() if at in sources[name].cache}
         tallies = {
-            name: Tally(source.header, phase, grids[name], outliers=self.recorded) for name, source in sources.items()
+            name: Tally(source.header, phase, grids[name], outliers=self.recorded)
+            for name, source in sources.items()
+            if name not in known
         }
         cross = self._cross_tally(sources, 1)
-        waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
+        waiting = {
+            name: zip(source.blocks(phase.start_ns, phase.end_ns))
+            for name, source in sources.items()
+            if name in tallies or (cross is not None and name in cross.sensors)
+        }
         for name, blocks in _interleave(waiting, phase):
-            if blocks is not None:
+            if blocks is not None and name in tallies:
                 tallies[name].update(*blocks)
             if cross is not None and name in cross.sensors:
                 cross.accept(name, blocks)
-        sensors = {name: tally.result(self.reference.temperature) for name, tally in tallies.items()}
+        new = {name: tally.result(self.reference.temperature) for name, tally in tallies.items()}
+        for name, summary in () if self.recorded else new.items():
+            sources[name].cache[phase, grids[name]] = summary
+        sensors = {name: new[name] if name in new else known[name] for name in sources}
         return self._summary(sensors, None if cross is None else cross.result())
 
     def _summary(self, sensors: Mapping[str, Summary], cross: Cross | None) -> PhaseSummary:
