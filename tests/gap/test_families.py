@@ -9,11 +9,12 @@ import pytest
 
 from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirm
-from imuarray.gap.inference.refinement import FittedHypothesis
+from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirm, confirm_each, look_state
+from imuarray.gap.inference.refinement import FittedHypothesis, look_again, looks
 from imuarray.gap.inference.search import (
     is_redundant,
     members_of,
+    responses,
     separate_causes,
     shared_wins,
     together,
@@ -22,8 +23,10 @@ from imuarray.gap.inference.search import (
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
+from imuarray.simulate.effects.bias import BiasInstability, CommonMode
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import Misalignment
 from imuarray.simulate.motion.faces import Still
 from tests.gap.search_inputs import standing_of
 from tests.gap.small_bench import Run, prepared
@@ -83,6 +86,17 @@ def test_individual_causes_kept_with_a_common_cause() -> None:
     assert separate_causes(replace(round_, selection=None), (line,)) == ()
 
 
+def test_responses_of_members_stay_beside_noise_in_common() -> None:
+    """A misalignment does not resemble noise, a wander does; with another shared cause nothing is known before."""
+    noise = Hypothesis((CommonMode(0.1, 9.0),), shared=True)
+    turned, wander = (
+        replace(found(9.0), hypothesis=FittedHypothesis(Hypothesis((effect,))))
+        for effect in (Misalignment((1.0, 0.0, 0.0, 0.0, 0.0, 0.0)), BiasInstability(0.1, 9.0))
+    )
+    assert responses([noise, noise], [turned, wander]) == (turned,)
+    assert responses([noise, SWAP], [turned, wander]) == ()
+
+
 def test_equal_trials_of_members_are_tried_once() -> None:
     trials = [Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP, Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP]
     assert without_duplicates(trials) == trials[:2]
@@ -129,6 +143,21 @@ def test_equal_readings_of_two_sensors_are_observable_as_a_pair(
     assert after < 0.01
     assert right.standing.models["A1"].added == (ChannelSwap("A2"),)
     assert right.standing.models["A2"].added == ()
+    jointly = confirm_each(bench, pair, [FittedHypothesis(SWAP), FittedHypothesis(SWAP, pair.changed(SWAP))])
+    assert [one.gain for one in jointly] == pytest.approx([0.0, right.gain], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_look_is_judged_again_by_more_replicates(
+    swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
+) -> None:
+    """By the same draws: the gain is that of a new look at the state with all replicates."""
+    bench, pair, _ = swapped
+    few = look_state(bench, pair)
+    (seen,), (new,) = looks(bench, few, [SWAP]), looks(bench, pair, [SWAP])
+    again = look_again(bench, pair, seen)
+    assert seen.gain > 10
+    assert (again.gain, again.counts, again.by_log) == (new.gain, new.counts, new.by_log)
 
 
 @pytest.mark.slow

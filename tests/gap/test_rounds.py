@@ -217,8 +217,9 @@ def test_trials_are_pursued_if_they_gain_anywhere() -> None:
     """A trial that makes some logs likelier and others less likely may apply to the former."""
     line = Hypothesis((LINE,), ("amplitude",))
     assert not gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -3.0, 1: 1.0})])
-    assert gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0})]) == [line]
-    assert gaining_of([FittedHypothesis(line, {}, 0.5), FittedHypothesis(WANDER, {}, -1.0)]) == [line]
+    divided, better = FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0}), FittedHypothesis(line, {}, 0.5)
+    assert gaining_of([divided]) == [divided]
+    assert gaining_of([better, FittedHypothesis(WANDER, {}, -1.0)]) == [better]
 
 
 @pytest.mark.parametrize(("by_log", "divided"), [({0: -9.0, 1: -9.0, 2: 8.0}, [2]), ({0: -9.0, 1: 8.0, 2: -9.0}, None)])
@@ -253,6 +254,9 @@ def test_temporary_common_effects_wait_for_permanent_ones() -> None:
     assert precursors([COMMON_FOR_A_WHILE, COMMON, elsewhere]) == [[1], [], []]
     alone = replace(COMMON_FOR_A_WHILE, shared=False)
     assert precursors([alone, COMMON]) == [[], []]
+    faster, slower = (Hypothesis((CommonMode((0.2, 0.0, 0.2), time_s),), ("rms",), shared=True) for time_s in (4, 17))
+    assert precursors([COMMON_FOR_A_WHILE, faster, slower]) == [[2], [], []]
+    assert precursors([COMMON_FOR_A_WHILE, faster]) == [[1], []]
 
 
 @pytest.mark.parametrize(

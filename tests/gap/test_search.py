@@ -162,9 +162,10 @@ class CannedRun:
         self._independent = independent
 
     def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
-        self.asked.append(len(items))
         if job.__name__ == "_confirm":
-            return [self._confirmed(*item) for item in items]
+            self.asked.append(sum(len(several) for _, several in items))
+            return [[self._confirmed(standing, tried) for tried in several] for standing, several in items]
+        self.asked.append(len(items))
         if job.__name__ == "look_at":
             return [[self._looked(trial) for trial in trials] for _, trials in items]
         return [self._looked(fitted.trial) for _, fitted in items]

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,17 +40,24 @@ from imuarray.gap.inference.unit_state import (
     update_likelihood,
 )
 from imuarray.gap.model.bench import Bench, StatisticValues
-from imuarray.gap.model.replication import TOGETHER
+from imuarray.gap.model.replication import TOGETHER, Models
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, independent_share
 from imuarray.simulate.effects.bias import Bias, PopcornNoise
 from imuarray.simulate.effects.noise import Tone
+
+Item = TypeVar("Item")
 
 REFINED, CONFIRMED = 4, 3
 """Largest number of trials of a unit that are refined, and that are confirmed, in a round."""
 
 _OF_FORM, _OF_EFFECT = 2, 2
 """Largest number of trials of one form that are refined or confirmed; and of one effect, while there are others."""
+
+_CONFIRMED_TOGETHER = 2
+"""Number of trials of a unit that one job confirms: they share draws and the other sensors, and two processes are
+busy.
+"""
 
 WORTH = 2.0
 """Gain in nats on the training part from which on a trial is pursued."""
@@ -74,6 +81,9 @@ _TIME_VARYING = frozenset(
 
 _WANDERS = frozenset({"bias_instability", "random_walk"})
 """Effects that make a bias wander slowly."""
+
+_AS_SLOW = 2.0
+"""Ratio of two time constants below which a process of one of them shows in much the same statistics as the other."""
 
 _DIVIDED, _LOST = 3, 2.0
 """Most trials of a unit that are tried in some logs alone, and the nats that the other logs must lose by a trial."""
@@ -182,21 +192,32 @@ def search_round(
     """Perform one round over all units at once. If it is `known` that one of the trials is right, no proof is
     needed.
     """
-    looks = look_in_turns(run, standings, trials)
-    for unit, looks_at_parts in _partly(run, standings, looks).items():
-        looks[unit] += looks_at_parts
-    for unit, narrowed in _narrow(run, standings, looks).items():
-        looks[unit] += narrowed
-    likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in looks.items()}
+    return round_of_looks(standings, look_in_turns(run, standings, trials), placebos, run, known)
+
+
+def round_of_looks(
+    standings: Mapping[Unit, UnitState],
+    looks: Mapping[Unit, Sequence[FittedHypothesis]],
+    placebos: Mapping[Unit, Hypothesis],
+    run: Run,
+    known: bool = False,
+) -> dict[Unit, Round]:
+    """Perform one round, as `search_round` does, with looks at all trials."""
+    seen = {unit: list(unit_looks) for unit, unit_looks in looks.items()}
+    for unit, looks_at_parts in _partly(run, standings, seen).items():
+        seen[unit] += looks_at_parts
+    for unit, narrowed in _narrow(run, standings, seen).items():
+        seen[unit] += narrowed
+    likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in seen.items()}
     refined = _results_of(run, _refine, standings, likely)
     best = {unit: likeliest(hypotheses, CONFIRMED) for unit, hypotheses in refined.items()}
-    confirmed = _results_of(run, _confirm, standings, best)
+    confirmed = _confirm_all(run, standings, best)
     needed = {
         unit: [FittedHypothesis(placebos[unit])]
         for unit, evaluations in confirmed.items()
         if evaluations and unit in placebos and _needs_placebo(standings[unit], evaluations)
     }
-    fakes = _results_of(run, _confirm, standings, _results_of(run, _refine, standings, needed))
+    fakes = _confirm_all(run, standings, _results_of(run, _refine, standings, needed))
     return {
         unit: _round(standings[unit], [*evaluations, *fakes.get(unit, ())], bool(fakes.get(unit)), known)
         for unit, evaluations in confirmed.items()
@@ -248,14 +269,33 @@ def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> 
     """Return the unit's statistics in replicates of its models, without those that a single sensor shares with
     others.
     """
-    replicates = bench.replicates([(standing.models, number) for number in numbers], other_models=standing.other_models)
+    (replicates,) = replicates_of_each(bench, standing, [standing.models], numbers)
+    return replicates
+
+
+def replicates_of_each(
+    bench: Bench, standing: UnitState, several: Sequence[Models], numbers: Sequence[int]
+) -> list[list[StatisticValues]]:
+    """Return, for each of several models of the unit, what `replicates_of` returns. A few numbers of all models are
+    simulated together, since models share the draws of a number and the other sensors.
+    """
+    together = max(TOGETHER // len(several), 1)
     columns = bench.among(standing.unit, standing.unit)
-    return [replace(replicate, values=replicate.values[columns]) for replicate in replicates]
+    replicates: list[list[StatisticValues]] = [[] for _ in several]
+    for first in range(0, len(numbers), together):
+        requests = [(models, number) for number in numbers[first : first + together] for models in several]
+        values = bench.replicates(requests, other_models=standing.other_models)
+        for at, replicate in enumerate(values):
+            replicates[at % len(several)].append(replace(replicate, values=replicate.values[columns]))
+    return replicates
 
 
 def replicate_state(bench: Bench, standing: UnitState) -> UnitState:
     """Return the state with replicates of its models, and the misfit of their noise."""
-    replicates = replicates_of(bench, standing, NUMBERS)
+    return _with_replicates(bench, standing, replicates_of(bench, standing, NUMBERS))
+
+
+def _with_replicates(bench: Bench, standing: UnitState, replicates: Sequence[StatisticValues]) -> UnitState:
     misfit = standing.misfit_of(bench.base.headers, [replicate.fitted for replicate in replicates])
     return replace(standing, values=np.array([replicate.values for replicate in replicates]), misfit=misfit)
 
@@ -268,8 +308,22 @@ def look_state(bench: Bench, standing: UnitState) -> UnitState:
 
 def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> Evaluation:
     """Return the gains of a trial with its parameters, by replicates of both parts."""
-    models = standing.models if hypothesis.models is None else hypothesis.models
-    changed = replicate_state(bench, replace(standing, models=models))
+    (evaluation,) = confirm_each(bench, standing, [hypothesis])
+    return evaluation
+
+
+def confirm_each(bench: Bench, standing: UnitState, hypotheses: Sequence[FittedHypothesis]) -> list[Evaluation]:
+    """Return what `confirm` returns for each of several hypotheses; faster than single calls."""
+    several = [standing.models if hypothesis.models is None else hypothesis.models for hypothesis in hypotheses]
+    replicated = replicates_of_each(bench, standing, several, NUMBERS)
+    return [
+        _evaluate(bench, standing, hypothesis, _with_replicates(bench, replace(standing, models=models), replicates))
+        for hypothesis, models, replicates in zip(hypotheses, several, replicated, strict=True)
+    ]
+
+
+def _evaluate(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis, changed: UnitState) -> Evaluation:
+    """Return the gains of a trial by the replicates of the state `changed` by it."""
     values, misfit = changed.values, changed.misfit - standing.misfit
     likelihood, shift = update_likelihood(standing, values)
     columns, before = bench.own(standing.unit), standing.likelihood
@@ -338,7 +392,7 @@ def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
     For an effect on several axes, the precursors are the same effect on some of these axes: guesses are made for the
     axes that show it, and for all. For telegraph noise, whose autocovariance is that of Gauss-Markov noise, they are
     all slow wanders. For an effect that sensors share for a while, they are the effect that they always share, of any
-    size: it gains in the logs that contain the while.
+    size and of about the same time constant if there is one: it gains in the logs that contain the while.
     """
     wanders = [at for at, trial in enumerate(trials) if trial.name in _WANDERS and not trial.needs_both]
     narrower: list[list[int]] = [
@@ -349,7 +403,8 @@ def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
 
     def others(trial: Hypothesis) -> list[int]:
         if trial.shared and trial.when.spans:
-            return [at for at in lasting if _is_same_in_time(trials[at], trial)]
+            same = [at for at in lasting if _is_same_in_time(trials[at], trial)]
+            return [at for at in same if _is_as_slow(trials[at], trial)] or same
         return first if trial.name == PopcornNoise.name and not trial.needs_both else []
 
     return [before or others(trial) for trial, before in zip(trials, narrower, strict=True)]
@@ -359,6 +414,14 @@ def _is_same_in_time(trial: Hypothesis, other: Hypothesis) -> bool:
     """Return whether two trials have the same form and concern the same sensors."""
     same = (trial.form, trial.sensor, trial.others, trial.members, trial.everywhere)
     return same == (other.form, other.sensor, other.others, other.members, other.everywhere)
+
+
+def _is_as_slow(trial: Hypothesis, other: Hypothesis) -> bool:
+    """Return whether the time constants of two trials of one form, if they have any, are about the same."""
+    times_s = [
+        [getattr(effect, "time_constant_s", 1.0) for effect in several] for several in (trial.effects, other.effects)
+    ]
+    return all(max(first / second, second / first) < _AS_SLOW for first, second in zip(*times_s, strict=False))
 
 
 def _is_narrower(trial: Hypothesis, other: Hypothesis) -> bool:
@@ -376,10 +439,7 @@ def _look_at_all(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return a look at all trials, a few trials of a unit in each job."""
-    parts = {
-        unit: [unit_trials[first : first + TOGETHER] for first in range(0, len(unit_trials), TOGETHER)]
-        for unit, unit_trials in trials.items()
-    }
+    parts = {unit: _parts(unit_trials, TOGETHER) for unit, unit_trials in trials.items()}
     looks = _results_of(run, look_at, standings, parts)
     return {unit: list(chain.from_iterable(unit_looks)) for unit, unit_looks in looks.items()}
 
@@ -472,10 +532,10 @@ def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
             yield spell.trial.at(since(last, later))
 
 
-def gaining_of(looks: Sequence[FittedHypothesis]) -> list[Hypothesis]:
-    """Return the trials that may be pursued: those that gain in all logs or in a part of them."""
+def gaining_of(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
+    """Return the looks at trials that may be pursued: those that gain in all logs or in a part of them."""
     divided = [look.trial for look in _divided(looks)]
-    return [look.trial for look in looks if look.gain > 0 or any(look.trial is trial for trial in divided)]
+    return [look for look in looks if look.gain > 0 or any(look.trial is trial for trial in divided)]
 
 
 def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
@@ -495,6 +555,19 @@ def _is_divisible(trial: Hypothesis) -> bool:
     return bool(trial.effects) and not trial.when.spans and not trial.is_brief
 
 
+def _confirm_all(
+    run: Run, standings: Mapping[Unit, UnitState], hypotheses: Mapping[Unit, Sequence[FittedHypothesis]]
+) -> dict[Unit, list[Evaluation]]:
+    """Return the evaluations of all hypotheses, a few of a unit in each job."""
+    parts = {unit: _parts(several, _CONFIRMED_TOGETHER) for unit, several in hypotheses.items()}
+    evaluated = _results_of(run, _confirm, standings, parts)
+    return {unit: list(chain.from_iterable(several)) for unit, several in evaluated.items()}
+
+
+def _parts(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
+    return [items[first : first + size] for first in range(0, len(items), size)]
+
+
 def look_at(bench: Bench, request: tuple[UnitState, Sequence[Hypothesis]]) -> list[FittedHypothesis]:
     """Return a look at each hypothesis."""
     return looks(bench, *request)
@@ -504,8 +577,8 @@ def _refine(bench: Bench, request: tuple[UnitState, FittedHypothesis]) -> Fitted
     return refine(bench, request[0], request[1].trial)
 
 
-def _confirm(bench: Bench, request: tuple[UnitState, FittedHypothesis]) -> Evaluation:
-    return confirm(bench, *request)
+def _confirm(bench: Bench, request: tuple[UnitState, Sequence[FittedHypothesis]]) -> list[Evaluation]:
+    return confirm_each(bench, *request)
 
 
 def _results_of(

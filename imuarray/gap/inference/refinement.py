@@ -179,7 +179,9 @@ _OF_RESPONSE = frozenset({"scale", "misalignment", "g_sensitivity"})
 leaves differs from replicate to replicate, even if two agree by chance: `_MORE_LOOKS` replicates.
 """
 
-_DONE = 0.03
+_DONE, _CONVERGED = 0.03, 0.1
+"""Step in the log of each factor, and change of the gain in nats by a step, below which no further step is made."""
+
 _ADAPTED, _FITS = 2, 0.5
 """Largest number of adaptations of the noise, and the misfit in nats above the present models' below which they end."""
 
@@ -187,8 +189,8 @@ _ADAPTED, _FITS = 2, 0.5
 @dataclass(frozen=True)
 class FittedHypothesis:
     """A trial with its refined parameters: the models with it, its gain in nats on the training part, and the factor by
-    which the gain counts (`counts_of`). `models` is None if the trial was not, or cannot be, simulated. `by_log`: gains
-    of single logs, by their numbers, after a look.
+    which the gain counts (`counts_of`). `models` is None if the trial was not, or cannot be, simulated. After a look,
+    `by_log` are the gains of single logs, by their numbers, and `values` (r, n) the statistics of its replicates.
     """
 
     trial: Hypothesis
@@ -196,6 +198,7 @@ class FittedHypothesis:
     gain: float = -np.inf
     counts: float = 1.0
     by_log: Mapping[int, float] = field(default_factory=dict)
+    values: Floats | None = field(default=None, repr=False, compare=False)
 
 
 def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> list[FittedHypothesis]:
@@ -208,16 +211,27 @@ def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> li
         replicated = _replicate_each(bench, standing, [models[at] for at in places], whole, count)
         for at, statistics in zip(places, replicated, strict=True):
             if statistics is not None:
-                gain, counts = _gain(standing, statistics, trials[at]), _counts(standing, statistics)
-                fitted[at] = FittedHypothesis(
-                    trials[at], models[at], gain, counts, _by_log(bench, standing, statistics)
-                )
+                look = FittedHypothesis(trials[at], models[at], values=statistics.values)
+                fitted[at] = look_again(bench, standing, look)
     return fitted
 
 
 def _count_of(standing: UnitState, trial: Hypothesis) -> int:
     """Return the number of replicates of a look at the trial, of those that the state has."""
     return min(_MORE_LOOKS, len(standing.values)) if trial.name in _OF_RESPONSE else LOOKS
+
+
+def look_again(bench: Bench, standing: UnitState, look: FittedHypothesis) -> FittedHypothesis:
+    """Return a look judged by a state of the same models with more replicates, the first of which it has seen."""
+    if look.values is None:
+        return look
+    likelihood, shift = update_likelihood(standing, look.values)
+    return replace(
+        look,
+        gain=_gain(standing, likelihood, shift, look.trial),
+        counts=counts_of(standing, likelihood, shift),
+        by_log=_by_log(bench, standing, likelihood, shift),
+    )
 
 
 def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypothesis:
@@ -240,8 +254,9 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
         after = _simulate(bench, standing, stepped, changed, len(now.statistics.values))
         if after is None:
             break
+        change = abs(_gained(after) - _gained(now))
         now, best = after, max(best, after, key=_gained)
-        if np.abs(steps).max() < _DONE:
+        if np.abs(steps).max() < _DONE or change < _CONVERGED:
             break
     return _prune(bench, standing, _adapt(bench, standing, best)).hypothesis
 
@@ -298,8 +313,9 @@ def _simulate(bench: Bench, standing: UnitState, trial: Hypothesis, models: Mode
     statistics = _replicate(bench, standing, models, trial.needs_both, looks)
     if statistics is None:
         return None
-    gain = _gain(standing, statistics, trial) - statistics.misfit + standing.misfit
-    return _TrialState(FittedHypothesis(trial, models, gain, _counts(standing, statistics)), statistics)
+    gain = _gain(standing, statistics.likelihood, statistics.shift, trial) - statistics.misfit + standing.misfit
+    counts = counts_of(standing, statistics.likelihood, statistics.shift)
+    return _TrialState(FittedHypothesis(trial, models, gain, counts), statistics)
 
 
 def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, count: int) -> _TrialStatistics | None:
@@ -342,22 +358,18 @@ def _replicated_from(
     return _TrialStatistics(values, likelihood, shift, fits, settled, misfit)
 
 
-def _gain(standing: UnitState, statistics: _TrialStatistics, trial: Hypothesis) -> float:
+def _gain(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats, trial: Hypothesis) -> float:
     """Return the gain on the training part; for a trial that needs both parts, the mean of both gains, or their sum if
     it is brief, because one part alone may show it.
     """
-    gain = float(gains_of(standing, statistics.likelihood, statistics.shift).sum())
+    gain = float(gains_of(standing, likelihood, shift).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
-def _by_log(bench: Bench, standing: UnitState, statistics: _TrialStatistics) -> dict[int, float]:
+def _by_log(bench: Bench, standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> dict[int, float]:
     """Return the gains of the statistics of single logs."""
-    gains, logs = gains_of(standing, statistics.likelihood, statistics.shift), bench.logs[bench.own(standing.unit)]
+    gains, logs = gains_of(standing, likelihood, shift), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
-
-
-def _counts(standing: UnitState, statistics: _TrialStatistics) -> float:
-    return counts_of(standing, statistics.likelihood, statistics.shift)
 
 
 def _slopes(

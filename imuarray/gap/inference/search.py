@@ -28,35 +28,55 @@ from imuarray.gap.inference.forward_selection import (
     look_state,
     placebo_of,
     replicate_state,
+    round_of_looks,
     search_round,
 )
-from imuarray.gap.inference.refinement import FittedHypothesis, distinct
+from imuarray.gap.inference.refinement import FittedHypothesis, distinct, look_again
 from imuarray.gap.inference.unit_state import Unit, UnitState, reads_another, update_likelihood
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench
-from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.model.replication import Models, SensorModel
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.pairs import scorer_of
 from imuarray.gap.statistics.split import Side
 from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects.bias import CommonMode
 
 _MOST = 0.5
 """Share of a member's gain above which a shared cause explains it, so that the member's own cause is redundant."""
+
+_RESPONSES = frozenset({"scale", "misalignment", "nonlinearity", "g_sensitivity", "size_effect", "axis_error"})
+"""Effects on the response to motion and gravity, which no noise resembles."""
 
 _EXACT = 0.05
 """Share of the gain of several fitted causes by which a shared cause without fitted parameters may be worse."""
 
 
 def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) -> Evaluation:
-    """Return the evaluation of the family as a whole with the causes of single members."""
+    """Return the evaluation of the family as a whole with the causes of members; without any it gains nothing."""
     family, members = request
+    if not members:
+        return Evaluation(FittedHypothesis(Hypothesis(()), family.models, 0.0), family, 0.0, 0.0)
+    return confirm(bench, family, FittedHypothesis(members[0].trial, _with_causes(family, members), 0.0))
+
+
+def look_together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) -> UnitState:
+    """Return the state of the family with the causes of single members, with the few replicates that a look needs."""
+    family, members = request
+    if not members:
+        return family
+    state = look_state(bench, replace(family, models=_with_causes(family, members)))
+    return replace(state, likelihood=update_likelihood(family, state.values)[0])
+
+
+def _with_causes(family: UnitState, members: Sequence[Evaluation]) -> Models:
+    """Return the models of the family with the causes of these members."""
     models = dict(family.models)
     for member in members:
         models.update({name: model for name, model in member.standing.models.items() if name in models})
-    first = members[0].trial if members else Hypothesis(())
-    return confirm(bench, family, FittedHypothesis(first, models, 0.0))
+    return models
 
 
 def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluation | None:
@@ -100,6 +120,15 @@ def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
     )
     gains = np.maximum(member.standing.likelihood.log_density(real) - before, 0.0)
     return bool(np.minimum(gains, np.maximum(shared - before, 0.0)).sum() > _MOST * gains.sum())
+
+
+def responses(trials: Sequence[Hypothesis], members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
+    """Return the causes of members that change their response to motion and gravity, if all shared trials are noise: no
+    such noise resembles them, so what is shared is searched beside them.
+    """
+    if any(trial.name != CommonMode.name for trial in trials):
+        return ()
+    return tuple(member for member in members if {effect.name for effect in member.trial.effects} & _RESPONSES)
 
 
 def members_of(bench: Bench, family: UnitState, standings: Mapping[Unit, UnitState]) -> dict[Unit, UnitState]:
@@ -265,25 +294,42 @@ def _families(
     known: bool,
 ) -> None:
     """Replace causes of members by shared causes if these are better, the best first, at most one for a sensor. Causes
-    of members that gain more than their part of the shared gain are kept if they explain something else.
+    of members that gain more than their part of the shared gain are kept if they explain something else: the family is
+    then searched with them in its models, from the beginning if they are of another kind (`responses`).
     """
-    trials = _promising(comparison, _shared_trials(comparison, guessed), run)
-    families = dict(_states_of(comparison, list(trials), run))
-    placebos = {
-        family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in trials
-    }
-    results = search_round(families, trials, placebos, run, known)
     selections = {
         name: rounds_of_member[-1].selection for (name, *more), rounds_of_member in rounds.items() if not more
     }
+    shared = _shared_trials(comparison, guessed)
     members = {
-        family: [evaluation for name in family if (evaluation := selections.get(name)) is not None] for family in trials
+        family: [evaluation for name in family if (evaluation := selections.get(name)) is not None] for family in shared
     }
-    staying = {family: _staying(comparison, results[family], members[family]) for family in trials}
-    several = {family: trials[family] for family in trials if staying[family]}
-    requests = [(families[family], staying[family]) for family in several]
-    families.update({evaluation.standing.unit: evaluation.standing for evaluation in run(together, requests)})
-    results.update(search_round({family: families[family] for family in several}, several, placebos, run))
+    staying = {family: responses(family_trials, members[family]) for family, family_trials in shared.items()}
+    looks = _promising(comparison, shared, staying, run)
+    trials = {family: [look.trial for look in family_looks] for family, family_looks in looks.items()}
+    families = dict(_states_of(comparison, list(trials), run))
+    first = {family: staying[family] for family in trials if staying[family]}
+    families.update(_states_together(families, first, run))
+    looks = {
+        family: [look_again(comparison.bench, families[family], look) for look in family_looks]
+        for family, family_looks in looks.items()
+    }
+    placebos = {
+        family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in trials
+    }
+    results = round_of_looks({family: families[family] for family in looks}, looks, placebos, run, known)
+    again = {
+        family: causes
+        for family in trials
+        if family not in first and (causes := _staying(comparison, results[family], members[family]))
+    }
+    staying.update(again)
+    families.update(_states_together(families, again, run))
+    results.update(
+        search_round(
+            {family: families[family] for family in again}, {family: trials[family] for family in again}, placebos, run
+        )
+    )
     kept_sensors = {
         family: {name for evaluation in staying[family] for name in evaluation.standing.unit} for family in trials
     }
@@ -321,17 +367,30 @@ def _families(
 
 
 def _promising(
-    comparison: Comparison, trials: Mapping[Unit, Sequence[Hypothesis]], run: Run
-) -> dict[Unit, Sequence[Hypothesis]]:
-    """Return the shared trials of each family that gain, without the families in which none gains.
+    comparison: Comparison,
+    trials: Mapping[Unit, Sequence[Hypothesis]],
+    causes: Mapping[Unit, tuple[Evaluation, ...]],
+    run: Run,
+) -> dict[Unit, Sequence[FittedHypothesis]]:
+    """Return the looks at the shared trials of each family that gain beside the `causes` of members, without the
+    families in which none gains.
 
     All are looked at first, which needs few replicates of a family's state. All replicates of a state that no trial
     improves would cost more than the looks.
     """
-    states = {state.unit: state for state in run(look_state, [_initial_state(comparison, family) for family in trials])}
+    bare = run(look_state, [_initial_state(comparison, family) for family in trials])
+    states = {state.unit: state for state in run(look_together, [(state, causes[state.unit]) for state in bare])}
     looks = look_in_turns(run, states, trials)
     gaining = {family: gaining_of(looks_of) for family, looks_of in looks.items()}
     return {family: several for family, several in gaining.items() if several}
+
+
+def _states_together(
+    families: Mapping[Unit, UnitState], causes: Mapping[Unit, tuple[Evaluation, ...]], run: Run
+) -> dict[Unit, UnitState]:
+    """Return the states of families with causes of their members."""
+    evaluations = run(together, [(families[family], several) for family, several in causes.items()])
+    return {evaluation.standing.unit: evaluation.standing for evaluation in evaluations}
 
 
 def _staying(comparison: Comparison, family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
