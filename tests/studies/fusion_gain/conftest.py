@@ -15,9 +15,9 @@ def short_and_warm() -> tuple[Study, HeatingErrors]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
             patch.setattr(gain_study, name, value)
-        gain_study.measured.cache_clear()
+        gain_study.calibrate_units.cache_clear()
         result = study(("static",), 1, seconds=12.0), simulate_heating(1, 100.0)
-    gain_study.measured.cache_clear()
+    gain_study.calibrate_units.cache_clear()
     return result
 
 
