@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import imuarray.studies.fusion_gain
+import imuarray.studies.fusion_gain.gain_study
 from imuarray.cli import main
 from imuarray.commands import study as command
 from imuarray.fuse import technique_names
@@ -71,7 +71,7 @@ def test_a_study_is_written_as_text_and_json(short: Study) -> None:
 def test_the_command_writes_numbers_figures_and_a_page(
     short: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(imuarray.studies.fusion_gain, "study", lambda *_, **__: short)
+    monkeypatch.setattr(imuarray.studies.fusion_gain.gain_study, "study", lambda *_, **__: short)
     arguments = ["study", "--experiments", "static", "--seeds", "1", "--workers", "1", "-o", str(tmp_path / "out")]
     assert main(arguments) == 0
     assert "static: all, calibrated" in capsys.readouterr().out
