@@ -36,8 +36,8 @@ _SAME_AMOUNT = 0.15
 
 _LEAST_BIT = 64.0
 _NEAR_BIT = 0.08
-"""Least size in counts of a lost bit that is told from noise, and largest relative difference of the median distance
-from it.
+"""Least size in counts of a lost bit that can be distinguished from noise, and largest relative difference of the
+median distance from it.
 """
 
 _FULL = 0.05

@@ -3,7 +3,7 @@
 A line in a sensor's spectrum is a nuisance quantity if another sensor of the same quantity measures it too, with the
 same amplitude along the axes of the box. A faint line of an accelerometer is also a nuisance quantity unless another
 sensor contradicts it, which means that its noise and rate would show the line but do not. If no other sensor would show
-it, a line of some milli-g counts as faint: it cannot be told where it comes from. A line that another sensor
+it, a line of some milli-g counts as faint: its origin cannot be determined. A line that another sensor
 contradicts, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an effect.
 Neither is the broad maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a spectrum.
 """
