@@ -66,7 +66,7 @@ class Registers:
             self.verify(setting)
 
     def set_step_by_step(self, *settings: Setting) -> Iterator[float]:
-        """As `set`; yield 0 after each setting, so that a poll loop can read other chips before the next."""
+        """Do the same as `set`, and yield 0 after each setting, so that other chips can be read before the next."""
         for setting in settings:
             self.set(setting)
             yield 0.0

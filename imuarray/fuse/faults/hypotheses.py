@@ -348,7 +348,7 @@ _CLEARLY = 0.7
 
 
 class DriftLimits(NamedTuple):
-    """What `Baseline.departed` compares once every axis is settled: the first `state` (m, 5) of each axis and its
+    """Limits that `Baseline.departed` uses once every axis is settled: the first `state` (m, 5) of each axis and its
     `covariance` (m, 5, 5), the shares (m, m) of the axes' drifts in the departure of each axis from the others, and the
     limit of a drift in SI, to which `sigmas` standard deviations are added.
     """

@@ -131,7 +131,8 @@ def _behind(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int)
     for sigma in np.maximum(_SHARES * noise, _LEAST_LSB):
         table = _moments(coded, period, float(sigma))
         for steep in slopes if units == 0 else [slope]:
-            cost = _over_faces(bins, offsets, float(steep), float(sigma), table, period, units)
+            costs = _costs(bins, offsets, float(steep), float(sigma), table, period)
+            cost = _over_faces(costs, bins.face, offsets, units)
             at = int(cost.argmin())
             if cost[at] < least_cost:
                 least_cost, parameters = float(cost[at]), np.array([offsets[at], steep, sigma])
@@ -163,23 +164,21 @@ def _quieter(bins: _Bins, start: Floats, coded: Coded, period: int, units: float
 
     def cost(by: float) -> float:
         table = _moments(coded, period, sigma * by)
-        return float(_over_faces(bins, np.array([offset]), slope, sigma * by, table, period, units)[0])
+        costs = _costs(bins, np.array([offset]), slope, sigma * by, table, period)
+        return float(_over_faces(costs, bins.face, np.array([offset]), units)[0])
 
     optimum = minimize_scalar(cost, bounds=(_SHARES[0] / _SHARES[1], _SHARES[1] / _SHARES[0]), method="bounded")
     return np.array([offset, slope, sigma * float(optimum.x)])
 
 
-def _over_faces(
-    bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Moments, period: int, units: float
-) -> Floats:
-    """Return (o,) the cost of each offset. The level on each face may deviate as a unit's does, with the standard
-    deviation `units` in counts; the deviation with the least cost counts.
+def _over_faces(costs: Floats, face: Integers, offsets: Floats, units: float) -> Floats:
+    """Return (o,) the cost of each offset, from those of bins (o, b) on faces (b,). The level on each face may deviate
+    as a unit's does, with the standard deviation `units` in counts; the deviation with the least cost counts.
     """
-    costs = _costs(bins, offsets, slope, sigma, table, period)
     if not units:
         return np.asarray(costs.sum(axis=1))
     away = (offsets[:, None] - offsets) ** 2 / (2 * units**2)
-    each = [(costs[:, bins.face == face].sum(axis=1)[None] + away).min(axis=1) for face in np.unique(bins.face)]
+    each = [(costs[:, face == each_face].sum(axis=1)[None] + away).min(axis=1) for each_face in np.unique(face)]
     return np.asarray(np.sum(each, axis=0))
 
 
