@@ -24,12 +24,14 @@ def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[Ra
 
 @pytest.mark.slow
 def test_levels_that_scatter_suggest_a_turn_on_bias() -> None:
-    """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases."""
-    evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((0.5, 0.1, 0.3)),)}, seed=7)
+    """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases. On all
+    axes it is above that of usual parts, 0.15 dps.
+    """
+    evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((1.0, 0.6, 0.8)),)}, seed=7)
     (trial,) = CANDIDATES["turn_on_bias"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, TurnOnBias)
-    assert np.all(np.abs(np.log(np.array(effect.rms) / (0.5, 0.1, 0.3))) < np.log(2.0))
+    assert np.all(np.abs(np.log(np.array(effect.rms) / (1.0, 0.6, 0.8))) < np.log(2.0))
 
 
 @pytest.mark.slow
@@ -135,6 +137,7 @@ def test_another_range_in_all_logs_is_suggested(kind: str, sensor: str, range_: 
 
 @pytest.mark.slow
 def test_equal_boots_suggest_nothing() -> None:
+    """They scatter less than those of usual parts."""
     evidence = evidence_of("turn-on", "A1", seed=5)
     for candidate in (
         CANDIDATES["turn_on_bias"],
