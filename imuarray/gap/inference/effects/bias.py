@@ -36,10 +36,12 @@ def guess_turn_on_bias(evidence: Evidence) -> Iterator[Hypothesis]:
     _, means, errors = log_levels(levels(evidence))
     if len(means) < 2:
         return
-    score = evidence.score(*RUN_TO_RUN)  # negative if the levels scatter less than those of usual parts
-    rms = np.sqrt(np.maximum(means.var(axis=0, ddof=1) - errors.mean(axis=0), 0.0)) * (score > 0)
+    is_unusual = evidence.score("run_scatter") >= 0  # negative if the levels scatter less than those of usual parts
+    rms = np.sqrt(np.maximum(means.var(axis=0, ddof=1) - errors.mean(axis=0), 0.0)) * is_unusual
     if rms.any():
-        x, y, z = np.where(rms < _SMALL_SPREAD * rms.max(), np.where(score > _BEYOND_RUNS, rms, 0.0), rms)
+        x, y, z = np.where(
+            rms < _SMALL_SPREAD * rms.max(), np.where(np.abs(evidence.score(*RUN_TO_RUN)) > _BEYOND_RUNS, rms, 0.0), rms
+        )
         yield Hypothesis((TurnOnBias((float(x), float(y), float(z))),), ("rms",))
 
 
