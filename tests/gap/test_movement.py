@@ -181,7 +181,7 @@ def test_a_movement_of_too_many_windows_is_not_estimated(tmp_path: Path, monkeyp
 
 
 def test_a_still_axis_has_no_noise_in_the_movement(tmp_path: Path) -> None:
-    """Two gyroscopes of 0.02 dps (two counts) in windows of two rows: their mean has 0.01 dps, of which at most two
+    """Two gyroscopes of 0.02 dps (two counts) in windows of one row: their mean has 0.014 dps, of which at most two
     thirds remain about the still axes.
     """
     sensors = array(accelerometers=0, gyroscopes=2)
@@ -189,7 +189,7 @@ def test_a_still_axis_has_no_noise_in_the_movement(tmp_path: Path) -> None:
     assert motion is not None
     times = np.linspace(4.1, 7.9, 500) * SECOND
     rate_dps = np.degrees(motion.columns.at(times.astype(np.int64))[0][:, [3, 5]])
-    assert rate_dps.std() < 0.007
+    assert rate_dps.std() < 0.0095
 
 
 @pytest.mark.slow
