@@ -304,36 +304,14 @@ def _families(
     members = {
         family: [evaluation for name in family if (evaluation := selections.get(name)) is not None] for family in shared
     }
-    staying = {family: responses(family_trials, members[family]) for family, family_trials in shared.items()}
-    looks = _promising(comparison, shared, staying, run)
-    trials = {family: [look.trial for look in family_looks] for family, family_looks in looks.items()}
-    families = dict(_states_of(comparison, list(trials), run))
-    first = {family: staying[family] for family in trials if staying[family]}
-    families.update(_states_together(families, first, run))
-    looks = {
-        family: [look_again(comparison.bench, families[family], look) for look in family_looks]
-        for family, family_looks in looks.items()
-    }
     placebos = {
-        family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in trials
+        family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in shared
     }
-    results = round_of_looks({family: families[family] for family in looks}, looks, placebos, run, known)
-    again = {
-        family: causes
-        for family in trials
-        if family not in first and (causes := _staying(comparison, results[family], members[family]))
-    }
-    staying.update(again)
-    families.update(_states_together(families, again, run))
-    results.update(
-        search_round(
-            {family: families[family] for family in again}, {family: trials[family] for family in again}, placebos, run
-        )
-    )
+    families, results, staying = _search_families(comparison, shared, members, placebos, run, known)
     kept_sensors = {
-        family: {name for evaluation in staying[family] for name in evaluation.standing.unit} for family in trials
+        family: {name for evaluation in staying[family] for name in evaluation.standing.unit} for family in results
     }
-    accepted = [family for family in trials if results[family].selection is not None]
+    accepted = [family for family, result in results.items() if result.selection is not None]
     others = [
         (
             families[family],
@@ -364,6 +342,39 @@ def _families(
     for unit in missing:  # sensors that do not deviate and have no part in a cause are not searched
         if unit[0] not in served:
             del standings[unit]
+
+
+def _search_families(
+    comparison: Comparison,
+    shared: Mapping[Unit, Sequence[Hypothesis]],
+    members: Mapping[Unit, Sequence[Evaluation]],
+    placebos: Mapping[Unit, Hypothesis],
+    run: Run,
+    known: bool,
+) -> tuple[dict[Unit, UnitState], dict[Unit, Round], dict[Unit, tuple[Evaluation, ...]]]:
+    """Return the states and rounds of the families of which a `shared` trial gains, and the causes of members that stay
+    in the models of each family. A family is searched again if some stay that were not there from the beginning.
+    """
+    staying = {family: responses(trials, members[family]) for family, trials in shared.items()}
+    looks = _promising(comparison, shared, staying, run)
+    families = dict(_states_of(comparison, list(looks), run))
+    first = {family: staying[family] for family in looks if staying[family]}
+    families.update(_states_together(families, first, run))
+    seen = {
+        family: [look_again(comparison.bench, families[family], look) for look in family_looks]
+        for family, family_looks in looks.items()
+    }
+    rounds = round_of_looks({family: families[family] for family in seen}, seen, placebos, run, known)
+    again = {
+        family: causes
+        for family in looks
+        if family not in first and (causes := _staying(comparison, rounds[family], members[family]))
+    }
+    staying.update(again)
+    families.update(_states_together(families, again, run))
+    trials = {family: [look.trial for look in looks[family]] for family in again}
+    rounds.update(search_round({family: families[family] for family in again}, trials, placebos, run))
+    return families, rounds, staying
 
 
 def _promising(
