@@ -17,6 +17,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Integers
 from imuarray.axes import up_vector
+from imuarray.characterise.spectrum import Welch
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.gap.recording.turns import Turn, factors_of, likely_exchange
 from imuarray.log import Log, SensorLog
@@ -203,13 +204,14 @@ def _spectrum(sensor: SensorLog, rest: Phase) -> _Spectrum | None:
     segments = 2 * len(counts) // _SEGMENT_ROWS - 1
     if segments < _FEWEST_SEGMENTS:
         return None
-    cut = np.arange(segments)[:, None] * (_SEGMENT_ROWS // 2) + np.arange(_SEGMENT_ROWS)
-    parts = counts[cut] - counts[cut].mean(axis=1, keepdims=True)
-    transform = np.fft.rfft(parts * np.hanning(_SEGMENT_ROWS)[:, None], axis=1)[:, _FIRST_BIN:]
-    power = (np.abs(transform) ** 2).mean(axis=0)
     interval_s = float(np.median(np.diff(np.asarray(sensor.time[rows][: len(counts)], float)))) * 1e-9
-    hertz = np.arange(_FIRST_BIN, _FIRST_BIN + len(power)) / (_SEGMENT_ROWS * interval_s)
-    return _Spectrum(hertz, power / np.maximum(np.median(power, axis=0), 1e-30), segments * _INDEPENDENT)
+    welch = Welch(1 / interval_s, _SEGMENT_ROWS, counts.shape[1], "double")
+    welch.update(counts)
+    spectrum = welch.result()
+    inner = slice(_FIRST_BIN, -1)  # the last bin, at half the rate, has half of the density
+    density = spectrum.density[inner]
+    height = density / np.maximum(np.median(density, axis=0), 1e-30)
+    return _Spectrum(spectrum.frequency_hz[inner], height, segments * _INDEPENDENT)
 
 
 def _is_shared(sensors: Sequence[SensorLog], rest: Phase) -> bool:
