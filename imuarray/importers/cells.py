@@ -363,12 +363,8 @@ def plain_sentence(line: str) -> str:
     """Return a sentence that begins like a comment, of NovAtel's receivers or Razor's boards ("#A-R=1.5,2,255"), as
     cells that commas separate.
     """
-    if line.startswith(("#", "%")):
-        if (sentence := _NOVATEL.fullmatch(line)) is not None:
-            return f"{sentence[1]},{sentence[2]}"
-        if (sentence := _RAZOR.fullmatch(line)) is not None:
-            return f"{sentence[1]},{sentence[2]}"
-    return line
+    sentence = _NOVATEL.fullmatch(line) or _RAZOR.fullmatch(line)
+    return line if sentence is None else f"{sentence[1]},{sentence[2]}"
 
 
 _LABELLED = re.compile(

@@ -14,6 +14,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats
 from imuarray.log import SensorLog
 from imuarray.printable import counted
+from imuarray.robust import MEDIAN_ABSOLUTE
 
 MOST_ROWS = 1 << 16
 """Number of rows from the beginning of a recording that are examined."""
@@ -92,7 +93,7 @@ def _single_jumps(column: Floats) -> Floats:
     neighbours = np.abs(column[2:] - column[:-2])[: apart.size].reshape(apart.shape)
     changes = np.abs(np.diff(column))
     step = float(np.quantile(changes[changes > 0], _LEAST_CHANGES)) if changes.any() else 1.0
-    noise = np.maximum(np.median(apart, axis=1) / 0.6745, step)[:, None]  # of a normal distribution
+    noise = np.maximum(np.median(apart, axis=1) / MEDIAN_ABSOLUTE, step)[:, None]
     inside = ~_at_end(column[1:-1])[: apart.size].reshape(apart.shape)
     return np.asarray(apart[inside & (apart > _STANDS_OUT * noise) & (neighbours < _STANDS_OUT * noise / 2)])
 
