@@ -113,7 +113,7 @@ def test_magnetometers_measure_the_same_field(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="a false alarm", strict=False)
+@pytest.mark.xfail(reason="a pooled score reports a gap", strict=False)
 def test_a_mixed_array_is_diagnosed(folder: Path) -> None:
     """An emulated array whose parts keep to their data sheets has no gap: the AK8963's factory took away 16 % of its
     counts.

@@ -152,7 +152,7 @@ def test_a_single_reading_that_the_logger_reports_as_lost_is_usual(
     """Two of 1000 readings, a loss that is reported on another sensor or at another time: these are not usual."""
     recording = logged(tmp_path / "log.h5", {"Acc": rows}, "bus error", late_s, kind="lost", reported=reported)
     assert due(recording) == {"Acc": ROWS - is_of_recorder, "Gyro": ROWS}
-    assert any("lost readings, as any bus has them: Acc (1)" in note for note in recording.notes) is is_of_recorder
+    assert any("lost readings, as on any bus: Acc (1)" in note for note in recording.notes) is is_of_recorder
 
 
 @pytest.mark.parametrize(("flag", "is_of_recorder"), [(0, True), (LOST_BEFORE, False), (OVERRUN, False)])

@@ -216,9 +216,9 @@ def _squares(scores: Floats) -> Floats:
 
 
 EXPLAINED, PARTLY = 0.95, 0.3
-"""Least closed shares of an explained gap, and of a partly explained one. In the cases of worlds of others and of the
-emulator that were opened last, 50 of 64 first causes are right that close 0.95 and more. Of those that close 0.9 to
-0.95 it is 4 of 8, where the others have the place of an effect that the library lacks; of 0.8 to 0.9, 5 of 11.
+"""Least closed shares of an explained gap, and of a partly explained one. In opened cases of the foreign world and of
+the emulator, 50 of 64 first causes that close 0.95 or more are right, 4 of 8 that close 0.9 to 0.95 (the others stand
+for an effect that the library lacks), and 5 of 11 that close 0.8 to 0.9.
 """
 
 DOUBT = 0.05

@@ -294,8 +294,8 @@ class Base:
             if header.name in line.sensors:
                 stream = units.of_unit("", Tone.name, f"{line.frequency_hz!r} Hz")
                 tone = line.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
-                coins = stream.uniform(0.0, 1.0, _RUNS + 1) < 0.5
-                runs = np.flatnonzero(coins[1:]).tolist() if coins[0] else []
+                by_chance, *is_running = (stream.uniform(0.0, 1.0, _RUNS + 1) < 0.5).tolist()
+                runs = [run for run, runs_then in enumerate(is_running) if runs_then] if by_chance else []
                 yield replace(tone, spans=tuple(value for run in runs for value in (run, 0.0, FOREVER_S)))
 
 

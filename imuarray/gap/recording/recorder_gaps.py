@@ -233,4 +233,4 @@ def _sentence(gaps: Sequence[_Gap]) -> str:
 def _sentence_of_losses(losses_of: Sequence[str]) -> str:
     if not losses_of:
         return ""
-    return f"the logger reports a few lost readings, as any bus has them: {', '.join(losses_of)}"
+    return f"the logger reports a few lost readings, as on any bus: {', '.join(losses_of)}"
