@@ -45,8 +45,7 @@ from imuarray.shipped import find_config
 
 PROGRAM = "firmware_emulator.cases"
 RATE_HZ = 64.0
-"""Frames per second. At this rate, aliases of the mains frequency are at 14 Hz, those of its harmonics at 28 and 22 Hz.
-"""
+"""Frames per second. At this rate, aliases of the mains frequency are at 14 Hz, of its harmonics at 28 and 22 Hz."""
 FIRST_LOG = datetime(2013, 9, 16, 9, 0, tzinfo=UTC)
 BETWEEN_LOGS = timedelta(minutes=20)
 _NAMES = {kind: name for name, kind in MECHANISMS.items()}
@@ -131,9 +130,7 @@ class BenchCase:
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the contents of the sealed file; `logs` contain the events in each log, and the affected sensors if
-        these were random.
-        """
+        """Return the contents of the sealed file; `logs` have the events of each, and random affected sensors."""
         return {
             "array": self.array.name,
             "seed": self.seed,
@@ -205,9 +202,7 @@ class _LogBegin:
 
 
 def _affected_sensors(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the sensors on which a mechanism is put, or only those that it affected in any log, if the logs state
-    them.
-    """
+    """Return the sensors on which a mechanism is put, or those that it affected in any log, if the logs state them."""
     touched = {name for log in logs for name in log["touched"].get(mechanism, ())}
     return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
@@ -259,9 +254,7 @@ def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> No
 def asked(
     names: Sequence[str], severities: Sequence[float], sensors: Sequence[str]
 ) -> list[tuple[str, float, tuple[str, ...]]]:
-    """Return options that are given once for each mechanism; ValueError unless they are given for all of them or for
-    none.
-    """
+    """Return options given once for each mechanism; ValueError unless for all of them or for none."""
     severities, sensors = severities or (1.0,) * len(names), sensors or ("",) * len(names)
     if not len(names) == len(severities) == len(sensors):
         raise ValueError("--severity and --sensor: as often as --mechanism, or not at all")

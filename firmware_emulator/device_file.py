@@ -303,9 +303,7 @@ def as_word(data: bytes) -> bytes:
 
 
 def outgoing(size: int, data: bytes) -> bytes:
-    """Return the bytes after the command of a write: a byte, a word, a block with its length (SMBus) or without
-    (I2C).
-    """
+    """Return the bytes after a write's command: a byte, a word, a block with its length (SMBus) or without (I2C)."""
     if size == BYTE_DATA:
         return data
     if size == WORD_DATA:

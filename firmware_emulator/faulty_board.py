@@ -161,9 +161,7 @@ class FaultyBoard(Board):
     def router(
         self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
     ) -> Pca9544aChip:
-        """Return a multiplexer that carries out wrong commands, if there is such a fault; the multiplexer of a
-        mechanism is then not used.
-        """
+        """Return a multiplexer that carries out wrong commands, if there is such a fault; it replaces a mechanism's."""
         if not self._switching:
             return self._inner.router(chip, address, channels, powered_on_ns)
         named(chip, MUXES, "mux")

@@ -18,9 +18,7 @@ from imuarray.facts import bma180, l3g4200d
 
 @dataclass(frozen=True)
 class Times:
-    """The times of a fault: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: once), `count` times
-    (0: without end).
-    """
+    """Times of a fault: for `length_ns` from `begin_ns`, every `period_ns` (0: once), `count` times (0: endless)."""
 
     begin_ns: int
     length_ns: int
@@ -49,9 +47,7 @@ class Times:
 
 
 class ReadyLayout(NamedTuple):
-    """The location of a chip's triad of `length` bytes (9 for axes of 20 bits), and the bits, in a register or in bytes
-    of the triad, that mark it as new.
-    """
+    """A chip's triad of `length` bytes (9 for axes of 20 bits), and the bits that mark it as new."""
 
     first: int
     ready: int
@@ -166,9 +162,7 @@ class FaultyDevice(TargetProxy):
 
 
 def _unshadow(chip: Chip, at_ns: int) -> None:
-    """Set the bit that disables the shadow of the high byte, so that low and high byte can belong to two readings
-    (BMA-99).
-    """
+    """Set the bit that disables the shadow of the high byte: the bytes can belong to two readings (BMA-99)."""
     control = chip.page[bma180.CTRL_REG0.address]
     chip.store(bma180.CTRL_REG0.address, control | bma180.EE_W.mask, at_ns)
     chip.store(bma180.GAIN_Y.address, chip.page[bma180.GAIN_Y.address] | bma180.SHADOW_DIS.mask, at_ns)

@@ -10,9 +10,7 @@ from typing import Self
 from firmware_emulator.serial_firmware import Firmware
 
 ROOM = 4096
-"""Maximum number of bytes that wait while the terminal is not read, in addition to the terminal's own buffer; a list
-that does not fit is dropped.
-"""
+"""Most bytes that wait, besides the terminal's buffer, while it is not read; a list that does not fit is dropped."""
 CHUNK = 65536
 IDLE_S = 1.0
 

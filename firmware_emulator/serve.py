@@ -74,9 +74,7 @@ class TinyUsb:
         self.status, self.configuration = IDLE, 0
 
     def _standard(self, setup: Setup) -> bytes | None:
-        """Answer a standard request (USB 2.0, table 9-3): remote wake-up and halted endpoints do not exist, so no
-        feature can be set.
-        """
+        """Answer a standard request (USB 2.0, table 9-3): no feature can be set, as there are none."""
         match setup.request_type >> 7, setup.request:
             case 1, 0 | 10:  # GET_STATUS, GET_INTERFACE
                 return b"\0\0"
@@ -117,9 +115,7 @@ class TinyUsb:
         return bytes([self.status]) if setup.request == GET_STATUS else None
 
     def _message(self, setup: Setup, data: bytes) -> bytes | None:
-        """Transfer one I2C message. The host reads the status afterwards; without an acknowledge it reads zeros as
-        data, as with the firmware.
-        """
+        """Transfer one I2C message. The host then reads the status; without an acknowledge, data are zeros."""
         if setup.request & BEGIN:
             self._finish()
         self._start()

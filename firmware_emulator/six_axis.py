@@ -15,9 +15,7 @@ ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
 
 @dataclass
 class SampleGrid:
-    """The grid of the samples: sample n = 1, 2, ... is at `start_ns` + n * `period_ns`; `index` is the number of the
-    latest one, counted from 0.
-    """
+    """Sample n = 1, 2, ... is at `start_ns` + n * `period_ns`; `index` is that of the latest, counted from 0."""
 
     start_ns: int = NEVER_NS
     period_ns: int = 1_000_000

@@ -94,9 +94,7 @@ class Export:
 
 
 class Conversation:
-    """One connection. `over` is True if the server should close it; `imported` is the port that this client has, if
-    any.
-    """
+    """One connection. `over` is True if the server should close it; `imported` is this client's port, if any."""
 
     def __init__(self, exports: Sequence[Export]) -> None:
         self.exports = exports

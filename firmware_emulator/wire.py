@@ -130,9 +130,7 @@ class Wire:
         return received
 
     def send(self, address: int, data: bytes) -> None:
-        """Send one writing message: (repeated) START, address, `data`. OSError, after a STOP, if it is not
-        acknowledged.
-        """
+        """Send a writing message: (repeated) START, address, `data`. OSError, after a STOP, if not acknowledged."""
         self._interfere(address)
         self._send(address, data)
 
@@ -162,9 +160,7 @@ class Wire:
         return bytes([reduce(and_, column) for column in zip(*answers, strict=True)])
 
     def stop(self) -> None:
-        """Send a STOP: every addressed device receives it, and a multiplexer among them switches. No effect on a free
-        bus.
-        """
+        """Send a STOP: every addressed device receives it; a multiplexer switches. No effect on a free bus."""
         if not self._open:
             return
         self._open = False

@@ -42,9 +42,7 @@ def scaled(vector: Triple, factor: float) -> Triple:
 
 
 def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) -> Triple:
-    """Return an earth-fixed vector in the frame of a box that has turned about its unit `axis` by an angle
-    (Rodrigues).
-    """
+    """Return an earth-fixed vector in the frame of a box turned about its unit `axis` by an angle (Rodrigues)."""
     projection = (axis[0] * vector[0] + axis[1] * vector[1] + axis[2] * vector[2]) * (1.0 - cosine)
     aside = cross(vector, axis)
     x, y, z = (vector[i] * cosine + aside[i] * sine + axis[i] * projection for i in range(3))
@@ -52,9 +50,7 @@ def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) ->
 
 
 def turn_between(up_before: str, up_after: str) -> tuple[Triple, float]:
-    """Return axis in the box and angle (rad) of the shortest turn that brings `up_after` up; half a turn is about X or
-    Y.
-    """
+    """Return axis in the box and angle (rad) of the shortest turn that brings `up_after` up; half about X or Y."""
     start, end = UP[up_before], UP[up_after]
     axis = cross(end, start)
     if any(axis):
@@ -81,9 +77,7 @@ class WorldStimulus(NamedTuple):
 
 
 class WorldPhase(NamedTuple):
-    """A stretch of time with a name that the experimenter notes; `up` is the box axis that points up ("+Z"), "" if
-    none.
-    """
+    """A named stretch of time that the experimenter notes; `up` is the box axis that points up ("+Z"), "" if none."""
 
     start_ns: int
     end_ns: int
@@ -225,9 +219,7 @@ class TumbleWorld:
 
 
 class ProfileStretch(NamedTuple):
-    """A part of a temperature profile: its phase's name, minutes, final temperature in degC, time constant in
-    minutes.
-    """
+    """A part of a temperature profile: phase, minutes, final temperature in degC, time constant in minutes."""
 
     name: str
     minutes: float

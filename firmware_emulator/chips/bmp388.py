@@ -118,9 +118,7 @@ class Bmp388Chip(CyclicBarometer):
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
-        """Write pressure and then temperature into the data registers, 24 bits each, and set a flag for each (BMP-205,
-        BMP-211).
-        """
+        """Write pressure, then temperature, 24 bits each, into the data registers, and set flags (BMP-205, BMP-211)."""
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(oversampling), facts.PRESSURE_OVERSAMPLING.of(oversampling)
         enabled = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)
@@ -135,9 +133,7 @@ class Bmp388Chip(CyclicBarometer):
         self.page[_STATUS] |= facts.TEMPERATURE_READY.mask * enabled[0] | facts.PRESSURE_READY.mask * enabled[1]
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte; reading a result clears its flag, reading the error register clears it
-        (BMP-205).
-        """
+        """Return a register's byte; reading a result clears its flag, reading the error clears it (BMP-205)."""
         self.sync(at_ns)
         byte = self.page[address]
         if _DATA <= address < _DATA + 3:

@@ -51,9 +51,7 @@ class Lis3mdlChip(Chip):
     # Sampling ---------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """Write the latest sample into the data registers; the status shows whether earlier samples were
-        overwritten.
-        """
+        """Write the latest sample into the data registers; the status shows overwritten earlier ones."""
         previous = self._grid.index
         sampled_ns = self._grid.take(at_ns)
         if sampled_ns is None:

@@ -116,9 +116,7 @@ PULSE_MARKS = (None, 0x42, 0x44, 0x46, 0x48, 0x3C, 0x3E, 0x40)
 ON, RESET = 0x40, 0x04
 MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
-"""Limit of the number of past samples for which transfers on the auxiliary bus are carried out, in multiples of the
-delay in samples.
-"""
+"""Most past samples for which transfers on the auxiliary bus are carried out, in multiples of the delay."""
 
 
 def _codes(sample: Triple, scale: float, push: Triple, ratio: float, pushed: int) -> list[int]:

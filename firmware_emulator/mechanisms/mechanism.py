@@ -113,9 +113,7 @@ def plain_part(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviat
 
 
 def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> UnitDeviations:
-    """Return a part drawn in all properties that its data sheet specifies by a tolerance; its bias scatters between
-    power-ups.
-    """
+    """Return a part drawn in all properties with a tolerance in its data sheet; its bias scatters between power-ups."""
     unit, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
     limits = [tolerance.limit for tolerance in tolerances_of(chip, full_scale).bias]
     scattered = [
@@ -126,9 +124,7 @@ def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int
 
 
 def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
-    """Return the sensors of a fitting; ValueError for a sensor that does not exist or on which the mechanism cannot
-    act.
-    """
+    """Return the sensors of a fitting; ValueError for an unknown sensor or one on which the mechanism cannot act."""
     mechanism, by_name = fitting.mechanism, {sensor.name: sensor for sensor in array.sensors}
     mechanism_name = type(mechanism).__name__
     suitable = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]

@@ -49,9 +49,7 @@ class SupplyDrift(Mechanism):
             site.chain.sensed.append(answer(volts, (x, y, z), site.by_unit(self.per_v_g, self.per_v_dps)))
 
     def volts(self, random: np.random.Generator) -> Callable[[int], float]:
-        """Return the deviation of the supply at any time from 0 on, linear between grid points, in any order of
-        times.
-        """
+        """Return the supply's deviation at any time from 0 on, linear between grid points, in any order of times."""
         correlation = math.exp(-GRID_S / self.drift_s)
         grid = [float(random.normal(0.0, self.drift_v))]
 

@@ -36,9 +36,7 @@ def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, 
 
 
 def fitting_of(array: ArrayLike, name: str, severity: float, sensors: tuple[str, ...] = ()) -> Fitting:
-    """Return one mechanism on these sensors, or on all on which it can act; ValueError for an impossible name, severity
-    or sensor.
-    """
+    """Return one mechanism on these sensors, or on all it can act on; ValueError for an impossible argument."""
     if not severity > 0:
         raise ValueError(f"severity={severity}; allowed is anything above 0")
     mechanism = named(name, MECHANISMS, "mechanism").at(severity)

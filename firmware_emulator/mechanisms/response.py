@@ -159,9 +159,7 @@ NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
 """Equivalent noise bandwidth of a second-order Butterworth filter divided by its cut-off: 1.11."""
 Step = tuple[float, float, float, float]
 FAR_S = 0.2
-"""Longest interval between evaluations, in s, during normal polling. A longer one contains the set-up of a chip;
-changes are then assumed to be instantaneous.
-"""
+"""Longest interval of polling in s; a longer one is the set-up of a chip, after which changes are instantaneous."""
 
 
 @dataclass(frozen=True)

@@ -207,8 +207,7 @@ ACCELEROMETERS = ("adxl345", "bma180")
 GYROSCOPES = ("l3g4200d",)
 INERTIAL = ACCELEROMETERS + GYROSCOPES
 WHILE_SET_UP_S = 5.0
-"""Time after power-on in s at which faults of the wiring begin, so that the chips can be set up and the log can start.
-"""
+"""Time after power-on in s at which faults of the wiring begin, so that chips are set up and the log starts."""
 
 
 @dataclass

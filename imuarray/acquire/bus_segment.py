@@ -100,9 +100,7 @@ class MuxChannel:
         self.number = channel
 
     def select(self) -> None:
-        """Connect this channel now, so that the next transaction starts at once; OSError if the multiplexer does not
-        answer.
-        """
+        """Connect this channel now, so that the next transaction starts at once; OSError if silent."""
         self.mux.select(self.number)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
@@ -250,9 +248,7 @@ def mark_twins(routes: Sequence[SensorRoute]) -> None:
 
 
 def witnesses_of(route: SensorRoute, all_routes: Sequence[SensorRoute]) -> list[Witness]:
-    """Return the registers in which this chip differs from all its twins, even after one of them was reset; all its
-    registers if it has no twin.
-    """
+    """Return the registers in which this chip differs from all its twins, even if one was reset; all without a twin."""
     twins = twins_of(route, all_routes)
     witnesses = []
     for setting in route.driver.watched:
@@ -389,9 +385,7 @@ class ConfigurationReadback:
             check.good_rows = len(buffer.times_ns)
 
     def finish(self) -> None:
-        """Check everything once more (wrong registers twice), and flag the rows that remain in doubt, so that no row
-        stays undecided.
-        """
+        """Check everything once more (wrong registers twice), and flag the rows that remain in doubt."""
         for check in self._checks:
             if check.buffer.recovery is None:
                 self.run(check)
@@ -426,15 +420,11 @@ SEARCH_NS = 250_000_000
 FIRST_PAUSE_NS = 50_000_000
 LONGEST_PAUSE_NS = 400_000_000
 SLACK_NS = 1_000_000
-"""Excess of the duration of a reading over that of its bits, in ns, above which the machine interrupted it; its time is
-uncertain by the excess.
-"""
+"""Excess of a reading's duration over its bits in ns, above which its time is uncertain by the excess."""
 
 
 class AdapterState:
-    """One adapter. Nothing is sent before `silent_until_ns`; `hangs` and `removed` are True while it hangs or is
-    unplugged.
-    """
+    """One adapter. Nothing is sent before `silent_until_ns`; `hangs` and `removed` say whether it does."""
 
     def __init__(self) -> None:
         self.hangs = False
@@ -538,9 +528,7 @@ class Channel:
         return True
 
     def _ask_witness(self, witness: Witness) -> bool | None:
-        """Return True if the witness confirms the channel, False if not, None if the chip is silent or returns neither
-        its own value nor that of its twin.
-        """
+        """Return whether the witness confirms the channel; None if it is silent or returns neither twin's value."""
         registers, setting = witness.route.driver.registers, witness.setting
         try:
             register = setting.register
@@ -610,9 +598,7 @@ class BusSegment:
         self._root = bus.mux.bus if isinstance(bus, MuxChannel) else bus
 
     def begin(self) -> int:
-        """Connect the segment before the first reading is timed, and return the time. If that fails, the first reading
-        fails as well and reports the error.
-        """
+        """Connect the segment before the first reading, and return the time; the first reading reports a failure."""
         if self._select is not None and self._clock.now_ns() >= self.adapter.silent_until_ns:
             try:
                 self._select()

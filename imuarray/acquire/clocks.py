@@ -18,8 +18,7 @@ from imuarray.log.format import ClockRow
 
 PERIOD_NS = 10_000_000_000
 STEP_NS = 10_000_000
-"""Least change in ns of the wall clock relative to the monotonic clock that is an event; slewing changes less in 10 s.
-"""
+"""Least change in ns of the wall clock relative to the monotonic clock that is an event; slewing is less in 10 s."""
 
 
 ClockReader = Callable[[], tuple[int, int, int, int]]
@@ -37,9 +36,7 @@ def machine_clocks() -> tuple[int, int, int, int]:
 
 
 def clock_reader(clock: Clock, start_ns: int, wall_time: datetime) -> ClockReader:
-    """Return the machine's clocks for a bus that follows them; for an emulated bus, four clocks that agree with
-    its own.
-    """
+    """Return the machine's clocks for a bus that follows them; for an emulated bus, four that agree with its own."""
     if isinstance(clock, MonotonicClock):
         return machine_clocks
     wall_ns = round(wall_time.timestamp() * 1e6) * 1000 - start_ns

@@ -65,9 +65,7 @@ class Detection:
     self_test: str = ""
     """The result of the chip's self-test, if that was requested."""
     channel: int | None = None
-    """Channel of the multiplexer (None: the trunk) and address of a chip that answered where the configuration has
-    none.
-    """
+    """Channel of the multiplexer (None: trunk) and address of a chip that the configuration lacks."""
     address: int | None = None
     undetermined: bool = False
     """True if the self-test could not determine whether the chip is good."""
@@ -83,9 +81,7 @@ _VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: 
 
 
 def owner_of(address: int, bus: OpenBus) -> str:
-    """Return which kernel driver owns an address of the root bus, or a place on it; "" for none, and for a bus that
-    does not know owners (LNX-12).
-    """
+    """Return which kernel driver owns an address of the root bus, or a place on it; "" for none or unknown (LNX-12)."""
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     try:
         if ask is not None:
@@ -123,9 +119,7 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
 
 
 def _find_owned_addresses(bus: OpenBus) -> list[Detection]:
-    """Report addresses of known chips that a kernel driver owns. The chip may be one of an array or a clock on the same
-    bus, so this is no error.
-    """
+    """Report addresses of known chips that a kernel driver owns; it may be another chip, so this is no error."""
     known_addresses = sorted(
         {*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)}
     )
@@ -201,9 +195,7 @@ def _describe_kernel_device(device: IioDevice) -> Detection:
 
 
 def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
-    """Return the address that answers as a multiplexer; some barometers share one of its eight possible addresses
-    (PCA-11).
-    """
+    """Return the address that answers as a multiplexer; barometers share one of its addresses (PCA-11)."""
     for address in pca9544a.ADDRESSES:
         if address in owned:  # one that the kernel switches must not be written to: LNX-24
             continue

@@ -15,9 +15,7 @@ from imuarray.log.format import Event
 from imuarray.log.rotate import Writer
 
 QUIET_NS = 1_000_000_000
-"""Time in ns within which a fault that recurs belongs to the same episode. It doubles whenever the fault recurs later
-than this, but within `RELAPSE_NS`.
-"""
+"""Time in ns within which a fault recurs in one episode; it doubles if it recurs later, within `RELAPSE_NS`."""
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
 
@@ -82,9 +80,7 @@ class FaultEpisode:
         self._lasts = True
 
     def end(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
-        """End a lasting episode: reported at once unless it recurs, and not at all if another event has `reported`
-        it.
-        """
+        """End a lasting episode: reported at once unless it recurs, never if an event has `reported` it."""
         self._lasts, self._reported = False, reported
         if self.is_open:
             self.last_ns, self._end = max(self.last_ns, at_ns), message

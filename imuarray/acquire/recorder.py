@@ -178,9 +178,7 @@ class Poll:
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame. Wake at intervals to check for a request to stop, and to do what must be done
-        before a frame that is far away (`_soonest`).
-        """
+        """Sleep until the next frame; wake to check for a request to stop, and for what is due before (`_soonest`)."""
         visited: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
             at_ns, place = self._soonest(due_ns, visited)

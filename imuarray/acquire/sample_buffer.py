@@ -148,9 +148,7 @@ frozen. With noise of half a code rms on a single axis, three of four readings r
 """
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
 _FROZEN_SHARE = 0.9
-"""Least duration of a constant reading, as a share of the nominal one: frames in quick succession read the same sample
-of the chip again.
-"""
+"""Least duration of a constant reading, as a share of the nominal one: quick frames read a sample again."""
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
 """Duration in s, and number of reading periods, without a reading after which a sensor is silent (the longer one)."""
@@ -257,9 +255,7 @@ class SampleBuffer:
         return frames
 
     def conversion_before(self, due_ns: int) -> int | None:
-        """Return when a conversion ends whose result would be too old in the frame at `due_ns`; None if there is
-        none.
-        """
+        """Return when a conversion ends whose result would be too old in the frame at `due_ns`, or None."""
         if self._converter is None or self.recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
@@ -491,9 +487,7 @@ class SampleBuffer:
         ]
 
     def _flag_repeated(self, readings: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
-        """Return STALE where the bytes of a reading equal the previous ones, the only evidence without a data-ready
-        bit.
-        """
+        """Return STALE where the bytes of a reading equal the previous ones, for want of a data-ready bit."""
         previous = np.concatenate([~readings[:1] if self._last is None else self._last, readings[:-1]])
         self._last = readings[-1:]
         return np.where((readings == previous).all(axis=1), STALE, 0).astype(np.uint16)
@@ -523,9 +517,7 @@ _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
 
 
 class Intake:
-    """Writes blocks of rows into `log`; `on_block` receives each written block, `faults` report rejected rows,
-    which are counted in `lost` by sensor.
-    """
+    """Writes rows into `log`; `on_block` gets each written block, `faults` report rejected rows, counted in `lost`."""
 
     def __init__(
         self,

@@ -37,8 +37,7 @@ from imuarray.log.writer import Block
 
 SECONDS = 10.0
 FEWEST_READINGS = 10
-"""Least number of readings for a verdict; the mean of fewer is so uncertain that noise could look like another state.
-"""
+"""Least number of readings for a verdict; with fewer, noise could look like another state."""
 ATTEMPTS = 3
 """Largest number of attempts to configure a sensor that started wrong; after them, none of its readings are trusted."""
 
@@ -63,9 +62,7 @@ class StartVerdict(Protocol):
 
 
 Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]
-"""Function from the counts (n, 3) of the sensors' first seconds to verdicts by name; none for sensors that can't be
-judged.
-"""
+"""Function from the counts (n, 3) of the sensors' first seconds to verdicts by name, if there are any."""
 
 
 class StartUpCheck:
@@ -207,9 +204,7 @@ class SensorHealth:
     # In a frame -----------------------------------------------------------------------------------------------------
 
     def lost(self, buffer: SampleBuffer, at_ns: int, error: OSError | None) -> None:
-        """Note that a reading did not arrive; `error` is None if it was not requested because the bus hangs or its
-        adapter is removed.
-        """
+        """Note that a reading did not arrive; `error` is None if it was not requested from a lost bus."""
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
         if error is None:
@@ -341,9 +336,7 @@ class SensorHealth:
     # Writing --------------------------------------------------------------------------------------------------------
 
     def trusted_rows(self, buffer: SampleBuffer, now_ns: int) -> int:
-        """Return how many of the waiting rows can be written: later checks confirmed the configuration, and later
-        readings showed that the sensor is not frozen.
-        """
+        """Return how many waiting rows can be written: later checks and readings confirmed configuration and motion."""
         if self._start_up is not None and self._start_up.holds(buffer):
             return 0
         rows = len(buffer.times_ns)
@@ -372,9 +365,7 @@ class SensorHealth:
 
 
 def _lost_setting(driver: Driver) -> str:
-    """Return a clause that names the first register that is not as configured; empty if all are, or if the chip does
-    not answer.
-    """
+    """Return a clause that names the first register that is not as configured; "" if all are, or if it is silent."""
     with suppress(OSError):
         for setting in driver.watched:
             value = driver.registers.read_back(setting.register)

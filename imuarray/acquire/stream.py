@@ -71,9 +71,7 @@ class StreamHealth:
                         self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
     def _judge(self, rows: Rows, check: _StreamCheck, value: int, rows_before: int) -> None:
-        """Judge one value of one register, read after `rows_before` of the waiting rows; two wrong values in a row
-        count.
-        """
+        """Judge one value of one register, read after `rows_before` waiting rows; two wrong values in a row count."""
         setting = check.watched.setting
         if value & setting.mask == setting.value:
             check.wrong, check.good_rows = 0, rows_before
@@ -152,9 +150,7 @@ class StreamHealth:
             self.failed[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
-        """Return how many of the waiting rows can be written; rows that nothing verified within `HELD_S` are written as
-        suspect.
-        """
+        """Return how many of the waiting rows can be written; after `HELD_S` rows are written as suspect."""
         if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
         buffer = rows.buffer
@@ -178,9 +174,7 @@ class StreamHealth:
             check.good_rows = max(check.good_rows - count, 0)
 
     def finish(self, now_ns: int) -> None:
-        """Read every register back twice after the stream was stopped, at the end of the log, and flag the rows that
-        remain unverified.
-        """
+        """Read every register back twice after the end of the stream, and flag the rows that remain unverified."""
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=True)
         for rows in self._rows:
@@ -206,13 +200,9 @@ WRITE_NS = 1_000_000_000
 """Time between two writes, in ns."""
 SILENCE_NS = 2_000_000_000
 SILENT_PERIODS = 2.5
-"""Time in ns, and multiple of the usual pauses, without data after which a microcontroller counts as reset or removed
-(the longer of both).
-"""
+"""Time in ns, and multiple of usual pauses, without data after which a microcontroller counts as reset or removed."""
 QUIET_S = 0.5
-"""Duration of silence at the end, in s and in excess of two of the microcontroller's usual pauses, above which the link
-is lost.
-"""
+"""Silence at the end, in s beyond two of the microcontroller's usual pauses, above which the link is lost."""
 PAUSE_NS = 3_000_000_000
 """Time in ns between two attempts to configure chips again, or to find the microcontroller."""
 
@@ -380,9 +370,7 @@ class Streaming:
             self._bus.clock.sleep_until(self._bus.clock.now_ns() + PAUSE_NS // 10)
 
     def _repair(self) -> None:
-        """Stop the stream, configure the failed sensors, count the readings that were lost meanwhile, and start
-        again.
-        """
+        """Stop the stream, configure the failed sensors, count the readings lost meanwhile, and start again."""
         self._repaired_ns = self._bus.clock.now_ns()
         self._forget_channels()
         self._health.configure_failed(self._repaired_ns)

@@ -145,9 +145,7 @@ class _Lists:
         return age
 
     def _add_request(self, key: _Key, request: Request) -> int:
-        """Return the position of the age of this request. The two halves of a six-axis chip, read one after the other,
-        need the same bytes, which are read once.
-        """
+        """Return the position of this request's age; both halves of a six-axis chip need the same bytes, read once."""
         newest, position = self._newest.get(key, (None, 0))
         if newest == request and request.read:
             return position
@@ -171,9 +169,7 @@ def _wire_request(route: SensorRoute, request: Request) -> Request:
 
 
 def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
-    """Return the plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that only the host can
-    drain.
-    """
+    """Return the plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that needs the host."""
     split = _split(routes, rate_hz)
     period_rate_hz = rate_hz * split
     lists = _Lists()
@@ -307,9 +303,7 @@ class Rows:
 
     @property
     def idle_ns(self) -> int:
-        """Return for how long a queue has been empty although it was read, if that is long enough that the chip must
-        have stopped; otherwise 0.
-        """
+        """Return for how long a queue was empty when it was read, if so long that the chip has stopped; otherwise 0."""
         return 0
 
     def begin(self) -> None:
@@ -341,15 +335,11 @@ class Rows:
         return periods // self.places[-1].every
 
     def unread(self, number: int, now_ns: int) -> int:
-        """Return the number of readings that have not arrived although the recording is over, after frame `number` at
-        `now_ns`.
-        """
+        """Return the number of readings that are missing at the end, after frame `number` at `now_ns`."""
         return self.missing(number)
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the readings among the samples; return how many are missing before the last of them, and the cause of the
-        last missing one.
-        """
+        """Add the readings among the samples; return how many are missing before the last, and the last cause."""
         readings = self._whole(samples_by_list, rate)
         count = len(readings.numbers)
         if count == 0:

@@ -23,8 +23,7 @@ from imuarray.drivers.unattended import unattended_queue_of
 _I2C_BYTE_NS = 9_000
 """Least time in ns of a byte on an I2C bus: 9 clocks at 1 MHz (fast-mode plus)."""
 LONGEST_US = 1_000_000
-"""Longest duration in us of a transaction with the largest age that can be sent; a watchdog ends longer transactions.
-"""
+"""Longest duration in us of a transaction with the largest age that can be sent; a watchdog ends longer ones."""
 _COUNTER_NS = 2_000
 """Uncertainty in ns of a time minus an age: both are whole microseconds, and each is off by up to one."""
 IDLE_REPORT_NS = 900_000_000
@@ -50,9 +49,7 @@ def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> 
 
 
 class QueueRows(Rows):
-    """Fills the rows of one half of a six-axis chip. Its `leader`, which may be itself, takes the bursts for both
-    halves.
-    """
+    """Fills the rows of one half of a six-axis chip. Its `leader`, maybe itself, takes the bursts for both."""
 
     def __init__(
         self, buffer: SampleBuffer, places: tuple[VisitPlace, ...], queue: UnattendedQueue, leader: QueueRows | None
@@ -124,9 +121,7 @@ class QueueRows(Rows):
         return "its queue ran over" if self._queue.ran_over else "its queue gave no valid samples"
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the samples of the bursts that arrived; return how many are missing before the last of them, and the
-        cause.
-        """
+        """Add the samples of the bursts that arrived; return how many are missing before the last, and the cause."""
         if self._leader is self:
             self._failure = ""
             samples = samples_by_list.get(self.places[0].number)

@@ -29,9 +29,7 @@ _NUMBER = re.compile(r"\b\d+\b")
 
 @dataclass(frozen=True)
 class BusIdentity:
-    """`device` is the description of the device itself, `part` its adapter or port, `place` the port into which it is
-    plugged ("" for a built-in device).
-    """
+    """`device` describes the device itself, `part` its adapter or port, `place` the port of its plug ("": built in)."""
 
     device: str
     part: str
@@ -49,9 +47,7 @@ class BusIdentity:
 
 @dataclass(frozen=True)
 class Entry:
-    """The entry of one device file in sysfs: its name, its `mark` (inode), which no later entry of that name has, and
-    its identity.
-    """
+    """The entry of one device file in sysfs: name, `mark` (inode), unlike later ones of that name, and identity."""
 
     name: str
     mark: int
@@ -59,9 +55,7 @@ class Entry:
 
 
 def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:
-    """Return every I2C adapter of this machine by the name of its device file ("i2c-1"); empty where there is no
-    sysfs.
-    """
+    """Return every I2C adapter of this machine by the name of its device file ("i2c-1"); empty without sysfs."""
     names = sorted((path.name for path in _listed(devices) if _ADAPTER.fullmatch(path.name)), key=_number)
     entries = {}
     for name in names:
@@ -94,9 +88,7 @@ def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
 
 
 def mark_of(devices: Path, name: str) -> int | None:
-    """Return the inode of an entry; None if the device was removed. OSError for any other failure, which does not mean
-    a removal.
-    """
+    """Return the inode of an entry; None if the device was removed. OSError for any other failure."""
     try:
         return (devices / name).stat().st_ino
     except (FileNotFoundError, NotADirectoryError):
@@ -149,9 +141,7 @@ def _adapter_identity(devices: Path, name: str) -> BusIdentity | None:
 
 
 def _channel_identity(devices: Path, real: Path, mux: Path) -> BusIdentity | None:
-    """Return the identity of a channel of a multiplexer that the kernel drives: `mux` leads to a device such as
-    1-0070.
-    """
+    """Return the identity of a channel of a kernel-driven multiplexer: `mux` leads to a device such as 1-0070."""
     try:
         device = mux.resolve(strict=True)
     except (OSError, RuntimeError):

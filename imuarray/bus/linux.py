@@ -38,8 +38,7 @@ MAX_MESSAGE = 8192
 KEPT = 256
 """Number of transactions whose structures are kept; an array of a dozen chips uses about a dozen for each."""
 TIMEOUT_S = 0.03
-"""Time-out of a transfer in s. With the kernel's default of 1 s a hung bus would stop the log for 1 s for each sensor.
-"""
+"""Time-out of a transfer in s. With the kernel's default of 1 s a hung bus would stop the log that long per sensor."""
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
 SEARCH_NS = 200_000_000
 """Interval in ns between two searches for a removed adapter; a search lists all adapters of the machine."""

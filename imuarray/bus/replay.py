@@ -75,9 +75,7 @@ class ReplayBus:
             self.claim = self._claim
 
     def _read(self) -> dict[str, Any] | None:
-        """Return the next line after an epoch, which is noted; None after the last line, empty for a line that is not a
-        transaction.
-        """
+        """Return the next line, after noting an epoch; None at the end, empty for one that is no transaction."""
         while text := self._file.readline(LONGEST_LINE):
             self._at_line += 1
             try:
@@ -133,9 +131,7 @@ class ReplayBus:
             raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
 
     def _line(self, asked: str) -> dict[str, Any]:
-        """Return the next line if it equals the present request; after the first difference, only that difference is
-        reported.
-        """
+        """Return the next line if it equals the present request; later, only the first difference is reported."""
         if self._failure is None:
             try:
                 return self._checked(asked)
@@ -203,9 +199,7 @@ class _ReplayedPort:
 
 
 def _parsed(line: dict[str, Any]) -> dict[str, Any]:
-    """Return a line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for an invalid
-    one.
-    """
+    """Return a line's numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for an invalid one."""
     at_ns = _time(line.get("at_ns", 0))
     call = {
         "end_ns": _time(line.get("end_ns", at_ns)),

@@ -112,9 +112,7 @@ class SerialBus:
         return self._transact(link.TRANSFER, payload, read, f"address {address:#04x} over the link")
 
     def exchange(self, select: int, write: bytes, read: int) -> bytes:
-        """Carry out one transaction on a chip select of SPI: bytes out, then zeros while `read` bytes come in; errors
-        as of `transfer`.
-        """
+        """Carry out an SPI transaction: bytes out, then zeros while `read` bytes come in; errors of `transfer`."""
         payload = link.exchange_payload(select, write, read)
         return self._transact(link.TRANSFER, payload, read, f"chip select {select} over the link")
 
@@ -144,9 +142,7 @@ class SerialBus:
         raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """Return the chip select N of the microcontroller, for /dev/spidev0.N; OSError if there is none or it
-        refuses.
-        """
+        """Return the chip select N of the microcontroller, for /dev/spidev0.N; OSError if it is missing or refuses."""
         prefix, _, number = path.rpartition(".")
         if prefix != SPI_CONTROLLER or not number.isdecimal() or int(number) >= self.capacity.selects:
             raise FileNotFoundError(

@@ -26,9 +26,7 @@ that error has wrong data.
 BLOCK_NS = 100_000_000
 """Duration in ns of a block; only the earliest arrival of a block is kept."""
 WINDOW_BLOCKS = 600
-"""Number of blocks in the window, at least a minute: long compared with the jitter of a delivery, short compared with
-the warming up of an oscillator.
-"""
+"""Blocks in the window, at least a minute: longer than the jitter of a delivery, shorter than warming up."""
 MIN_SPAN_NS = 200_000_000
 """Least span of the data in ns for an estimate of the drift; a shorter span has no information on it."""
 REFIT_NS = 1_000_000_000
@@ -71,9 +69,7 @@ class ClockFit:
         self._above_ns = 0.0  # median distance of the earliest arrivals of the blocks from the line
 
     def add(self, sent_ns: int, arrived_ns: int) -> None:
-        """Add a frame that was sent at `sent_ns` of the microcontroller's time and arrived by `arrived_ns` of the
-        host's.
-        """
+        """Add a frame that was sent at `sent_ns` microcontroller's time and arrived by `arrived_ns` of the host's."""
         if not self._sent_ns or sent_ns - self._block_ns >= BLOCK_NS:
             self._block_ns = sent_ns
             self._sent_ns.append(sent_ns)
@@ -111,9 +107,7 @@ class ClockFit:
         return self.latency_ns + 2 * self._above_ns + abs(self._slew[1]) + drift_ns
 
     def host_ns(self, sent_ns: Times) -> Times:
-        """Return the host's time of each of the times (n,) of the microcontroller; ValueError before the first
-        frame.
-        """
+        """Return the host's times of the microcontroller's times (n,); ValueError before the first frame."""
         if not self._sent_ns:
             raise ValueError("a clock fit without data")
         newest_ns = self._sent_ns[-1]

@@ -221,18 +221,14 @@ def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> 
 
 
 class Deframer:
-    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes that belonged to no
-    frame.
-    """
+    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes of no frame."""
 
     def __init__(self) -> None:
         self.skipped = 0
         self._waiting = b""
 
     def feed(self, data: bytes, *, final: bool = False) -> list[Frame]:
-        """Return the frames that `data` completes; never raises. With `final` no data follow, and the bytes of an
-        incomplete frame are skipped.
-        """
+        """Return the frames that `data` completes; never raises. With `final`, an incomplete frame is skipped."""
         buffer = self._waiting + data
         frames: list[Frame] = []
         crc32, header, checksum, find = zlib.crc32, _HEADER.unpack_from, _CRC.unpack_from, buffer.find
@@ -329,9 +325,7 @@ def counts_of(payload: bytes) -> FirmwareCounts:
 
 
 def outcome_of(payload: bytes, count: int, what: str) -> bytes:
-    """Return the `count` bytes after a result of 0; OSError as Linux raises it for 1 to 3, LinkError for any other
-    result.
-    """
+    """Return the `count` bytes after a result of 0; OSError as in Linux for 1 to 3, LinkError for any other result."""
     if not payload or payload[0] not in (DONE, *_ERRNO):
         raise LinkError(f"{what}: the microcontroller answers {payload[:8].hex() or 'nothing'}")
     if payload[0] != DONE:

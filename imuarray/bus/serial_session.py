@@ -43,9 +43,7 @@ from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
 
 EARLY_US = 5_000
-"""Largest time in us by which a frame may be sent before its number allows: an interrupt that keeps the period is
-sometimes late.
-"""
+"""Largest time in us by which a frame may be sent before its number allows: an interrupt is sometimes late."""
 PERIOD_ERROR = 0.01
 """Relative error of the period of a timer that can't count it exactly (a coarse tick)."""
 MEMORY_US = 300_000_000
@@ -61,9 +59,7 @@ UNASKED = "an answer to no question"
 
 
 class FrameSelection(NamedTuple):
-    """Data frames of the running stream in its order: their widened `numbers` (n,) and their `places` (n,) among those
-    that arrived.
-    """
+    """Data frames of the stream in order: widened `numbers` (n,) and `places` (n,) among those that arrived."""
 
     numbers: Integers
     places: Integers
@@ -142,9 +138,7 @@ class Admission:
         return _runs(sorted(absent))
 
     def _due(self, frames: Sequence[Frame], sent_us: Integers) -> tuple[Integers, Integers, npt.NDArray[np.bool_]]:
-        """Return (n,) each: the list of a frame, its widened number, and whether this list with this length is sent in
-        it.
-        """
+        """Return (n,) each: the list of a frame, its widened number, and whether this list of this length is in it."""
         names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
         sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
         sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
@@ -162,9 +156,7 @@ class Admission:
         return numbers
 
     def _increasing(self, order: Integers, sent_us: Integers, places: Integers) -> Integers:
-        """Return the `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest earlier
-        one.
-        """
+        """Return the `places` (n,), sorted by `order` (n,), of successive frames after the newest earlier one."""
         follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
         if not follows.all():  # a frame that does not follow may precede others that do
             newest, newest_us = self._newest, self._newest_us
@@ -201,13 +193,10 @@ ANSWER_S = 0.25
 """Time in s without an answer after which a command is sent again."""
 TRIES = 3
 PATIENCE_S = 4.0
-"""Time in s to wait for a first answer: opening the port resets many boards, and their boot loader takes two seconds.
-"""
+"""Time in s to wait for a first answer: opening the port resets many boards, whose boot loader takes 2 s."""
 PINGS = 8
 PING_S = 0.04
-"""Time in s between two greetings; all greetings take a third of a second, which determines the rate of the
-microcontroller's clock to a part in ten thousand.
-"""
+"""Time in s between two greetings; all take a third of a second, which gives the microcontroller's rate to 1e-4."""
 DRAIN_READS = 64
 EARLY_NS = 10_000_000
 """Time in ns by which a delivery may be quicker than the quickest of the last seconds. Even an adapter that collects
@@ -215,18 +204,14 @@ bytes for 16 ms delivers the quickest of some seconds in less than 1 ms. A frame
 was sent by another boot.
 """
 LEARNT_NS = 1_000_000
-"""Largest shift in ns that one observation may cause in the fit of the microcontroller's clock; it limits the effect of
-a false frame.
-"""
+"""Largest shift in ns of the microcontroller's clock by one observation, which may be false."""
 
 RESENDS = 3
 """Number of attempts to get missing frames; frames that are sent again are lost as often as others."""
 RUNS = 8
 """Largest number of gaps that one attempt requests."""
 MAX_PAUSE = 64
-"""Largest number of pieces of data without a request for missing frames, after requests to which the microcontroller
-sent nothing: it has omitted these frames.
-"""
+"""Most pieces of data without a request for missing frames, after requests to which nothing was sent."""
 
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
 """Time in ns for a repeated greeting after a first answer."""
@@ -506,9 +491,7 @@ class Session:
         return None if latest_ns is None else latest_ns // 1000
 
     def _early_us(self, at_ns: int) -> int:
-        """Return how much later than `_latest_us` a frame may have been sent, by the uncertainty of the counter's
-        drift.
-        """
+        """Return how much later than `_latest_us` a frame may have been sent, by the counter's uncertain drift."""
         return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
 
     def _bound_us(self, latest_us: int, arrived_ns: int) -> int:

@@ -221,9 +221,7 @@ def compare(files: tuple[Path, ...], as_json: bool) -> None:
 
 @dataclass(frozen=True)
 class CalibrationOutput:
-    """The calibration file to write: `update` adds to it, `force` overwrites it; `as_json` prints JSON instead of
-    text.
-    """
+    """The calibration file to write: `update` adds to it, `force` overwrites it; `as_json` prints JSON."""
 
     output: Path
     update: bool

@@ -20,9 +20,7 @@ _WORTH_SAYING = 0.2
 
 
 def report_of(calibration: Calibration) -> dict[str, Any]:
-    """Return the noise, its correlation and lines, and the drift of every sensor in counts and in mg or dps,
-    JSON-ready.
-    """
+    """Return noise, its correlation and lines, and drift of every sensor in counts and in mg or dps, JSON-ready."""
     return {"sensors": [_row(sensor) for sensor in calibration.sensors.values()]}
 
 

@@ -126,9 +126,7 @@ def _cells(error: dict[str, Any] | None, factor: float) -> str:
 
 
 def evaluate_techniques(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
-    """Return the evaluation of all techniques on a log, with a progress bar, JSON-ready, in SI except for headings in
-    degrees; `names`: only these sensors.
-    """
+    """Return the evaluation of all techniques on a log and `names` of sensors, JSON-ready, in SI and degrees."""
     from imuarray.fuse import compare
 
     with share_progress("techniques") as progress:

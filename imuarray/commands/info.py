@@ -113,9 +113,7 @@ def _sensor(sensor: SensorLog) -> dict[str, Any]:
 
 
 def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
-    """Return the median (of at most about `_SAMPLED` rows) and the maximum of `time_uncertainty`; None if the log has
-    none.
-    """
+    """Return the median (of at most about `_SAMPLED` rows) and the maximum of `time_uncertainty`, if any."""
     import numpy as np
 
     column = sensor.time_uncertainty

@@ -322,9 +322,7 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
 
 
 def _judge(options: LogOptions, array: ArrayConfig) -> StartStateDetector | None:
-    """Return the detector of wrong start-up states; None without a calibration, and if --calibration is for --fuse and
-    states none.
-    """
+    """Return the detector of wrong start-up states; None without a calibration that states any."""
     if options.calibration is None:
         return None
     from imuarray.calibrate import load_calibration

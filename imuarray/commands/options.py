@@ -24,9 +24,7 @@ from imuarray.printable import duration, encodable
 
 
 class PathName(click.Path):
-    """The name of a file or folder, converted to a Path. An empty name, which a Path takes for the current folder, is a
-    usage error.
-    """
+    """The name of a file or folder, converted to a Path. An empty name is a usage error."""
 
     def __init__(self, *, exists: bool = False, file_okay: bool = True) -> None:
         """Check names as `click.Path` with the same arguments does."""
@@ -152,9 +150,7 @@ def names_option(
     show_default: bool = False,
     may_be_empty: bool = True,
 ) -> Callable[[_Decorated], _Decorated]:
-    """Return an option whose value is a tuple of names, which are written with commas between them; a text without a
-    name is refused if it must not be empty.
-    """
+    """Return an option whose value is a tuple of names, written with commas; it is refused if it must not be empty."""
 
     def split(context: click.Context, parameter: click.Parameter, text: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in text.split(",") if name.strip())
@@ -236,9 +232,7 @@ def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_n
 
 
 def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
-    """Make a folder for files of these names, after `refuse_existing` for each. ImuArrayError if the folder cannot be
-    made.
-    """
+    """Make a folder for files of these names, after `refuse_existing` for each. ImuArrayError if that fails."""
     for name in names:
         refuse_existing(folder / name, force, in_new_folder=True)
     try:
@@ -392,9 +386,7 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], None]]:
-    """Yield a function that raises KeyboardInterrupt again if Python lost one, because it was raised inside a callback
-    of the garbage collector.
-    """
+    """Yield a function that raises KeyboardInterrupt again if Python lost one in the garbage collector."""
     asked = False
 
     def ask(number: int, frame: Any) -> None:

@@ -111,9 +111,7 @@ class OnDemandBarometer(ChipDriver):
         raise NotImplementedError
 
     def self_test(self) -> SelfTest:
-        """Check one measurement, whose temperature and pressure must lie within the operating range; the chip has no
-        self-test.
-        """
+        """Check one measurement, which must lie within the operating range; the chip has no self-test."""
         self.configure()
         burst, tries, longest_ns = b"", 0, 0
         while not burst and tries < 100:
@@ -247,9 +245,7 @@ class Bmp180(OnDemandBarometer):
         self._converting, self._done_ns = command, done_ns
 
     def _result(self, count: int) -> bytes:
-        """Read `count` bytes of the result, in one burst with the register that shows whether the conversion is
-        over.
-        """
+        """Read `count` bytes of the result, in one burst with the register that shows its end."""
         block = self.registers.peek(bmp180.CTRL_MEAS, 2 + count)
         if bmp180.CONVERTING.of(block[0]):
             raise OSError(errno.EIO, f"{self.registers.label}: conversion not finished in time")

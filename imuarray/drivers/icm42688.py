@@ -153,9 +153,7 @@ class Icm42688(SixAxisHalf):
         self.registers.set(self._bank(0))
 
     def self_test_unit(self) -> Floats:
-        """Return the change (3,) at the factory, in counts at the range of the self-test; at a range twice the smallest
-        the counts are half as large (TDK-40).
-        """
+        """Return the factory's change (3,) in counts at the range of the self-test, which halves them (TDK-40)."""
         trim = _TRIMS[self.half]
         self.registers.set(self._bank(trim.bank))
         codes = self.registers.peek(trim, 3)
@@ -232,9 +230,7 @@ class Icm42688Fifo(QueuedHalf, Icm42688):
 
 
 class Icm42688HighResolution(Icm42688Fifo):
-    """Driver of one half that is read from the queue in packets of 20 bytes, which always have the largest range
-    (TDK-89).
-    """
+    """Driver of one half read from the queue in packets of 20 bytes, which always have the largest range (TDK-89)."""
 
     burst: ClassVar[int] = packet_format.ROW_BYTES
 
@@ -257,9 +253,7 @@ class Icm42688HighResolution(Icm42688Fifo):
         )
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 18 or 19 bits (the lowest code means no reading), and the counts of the temperature
-        register.
-        """
+        """Return counts of 18 or 19 bits (the lowest code means no reading), and those of the temperature."""
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
         temperature = words16(bursts[:, 12:], ">i2")[:, 0]
         return DecodedBursts(counts, temperature, _status(counts, _HIGH_RESOLUTION_BITS[self.half]))

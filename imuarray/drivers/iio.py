@@ -39,9 +39,7 @@ CHANNELS: Mapping[str, tuple[str, float]] = {
     "angular_rate": ("in_anglvel", SI_PER_UNIT["dps"]),
     "magnetic_field": ("in_magn", 1.0),
 }
-"""Keyed by quantity: the channel's name, and the size of the log's unit in the kernel's unit (m/s2, rad/s, gauss:
-LNX-65).
-"""
+"""By quantity: the channel's name, and the size of the log's unit in the kernel's unit (m/s2, rad/s, gauss: LNX-65)."""
 TIMESTAMP = "in_timestamp"
 TEMPERATURE = "in_temp"
 MOST_BITS = 31
@@ -71,9 +69,7 @@ def triads_of(device: IioDevice) -> list[str]:
 
 
 def rates_of(device: IioDevice) -> dict[str, float]:
-    """Return the data rate in Hz of each triad of a device, by quantity; 0 where the driver has none.
-    SensorError, OSError.
-    """
+    """Return the data rate in Hz of each triad of a device, by quantity; 0 without one. SensorError, OSError."""
     rates = {}
     for quantity in triads_of(device):
         names = ("sampling_frequency", f"{CHANNELS[quantity][0]}_sampling_frequency")
@@ -411,9 +407,7 @@ class IioCapture:
         return self._clock is not None
 
     def set_up(self, sensor: IioSensor) -> None:
-        """Set the device up for all its sensors, unless that was just done for another of them. OSError,
-        SensorError.
-        """
+        """Set the device up for all its sensors, unless just done for another of them. OSError, SensorError."""
         if self._set_up and sensor not in self._set_up:
             self._set_up.append(sensor)
             return
@@ -478,9 +472,7 @@ class IioCapture:
                 member.queue.restart()
 
     def _choose_trigger(self, config: SensorConfig) -> None:
-        """Set the configured trigger, and its rate where it has one, or keep the trigger that is set; SensorError if
-        there is none.
-        """
+        """Set the configured trigger, and its rate if it has one, or keep the present one; else SensorError."""
         attribute, wanted = "trigger/current_trigger", config.trigger
         current = self.device.read(attribute)
         if current is None:
@@ -521,9 +513,7 @@ class IioCapture:
 
 
 def _reach(elements: Sequence[ScanElement], offset: int) -> int:
-    """Return the largest magnitude of counts, from the types of the axes; that of signed 16 bits where no type is
-    known.
-    """
+    """Return the largest magnitude of counts, from the types of the axes; by default of signed 16 bits."""
     ends = [
         (-(1 << element.bits - 1), 1 << element.bits - 1) if element.is_signed else (0, 1 << element.bits)
         for element in elements

@@ -43,9 +43,7 @@ INVENSENSE: Mapping[int, str] = MappingProxyType(
         0x98: "a clone sold as MPU-6050 (an original says 68, an ICM-20689 says 98)",
     }
 )
-"""The chips that answer at 0x68 and 0x69, by identity, which all of them have in one register (INV-02, -03, -70,
-TDK-03).
-"""
+"""The chips that answer at 0x68 and 0x69, by identity, in the same register (INV-02, -03, -70, TDK-03)."""
 
 
 def factory_change(codes: bytes) -> Floats:

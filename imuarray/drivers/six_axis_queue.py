@@ -43,9 +43,7 @@ WANTED_NS = 20e3
 LONGEST_WAIT_NS = 1_000_000
 """Longest wait in ns for the best time of this count; it is omitted if the wait would be longer."""
 BEFORE_COUNT = 0.4
-"""Share of a transaction after which a chip latches its count: three bytes of five or six on I2C, one of three or four
-on SPI.
-"""
+"""Share of a transaction before a count is latched: three bytes of five or six on I2C, one of three or four on SPI."""
 _FLAGS_AND_COUNT = 3
 """Number of bytes of INT_STATUS and the count of an ICM-42688-P; FIFO_DATA is the next register (TDK-85)."""
 _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
@@ -53,9 +51,7 @@ _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
 share of the expected number for a slow chip.
 """
 MOST_ROWS = 4096
-"""Largest number of rows that wait for a half that is not visited; if there are more, all are dropped, and the next row
-is flagged.
-"""
+"""Most rows that wait for a half that is not visited; if more, all are dropped, and the next is flagged."""
 
 
 class QueueReader:
@@ -154,9 +150,7 @@ class DieQueue:
         self._trusted = False
 
     def empty(self, by: QueueReader | None = None) -> None:
-        """Empty the queue, which restarts it: samples of the halves are missing, except for the half `by`, which
-        requested it.
-        """
+        """Empty the queue, which restarts it: samples are missing, except for the half `by`, which requested it."""
         self._flush()
         self._trusted = True
         self._restart()
@@ -220,9 +214,7 @@ class DieQueue:
 
 
 class QueueRequest(NamedTuple):
-    """One transaction of a drain: `read` bytes from `register` on, or with `rule` the number that the last answer
-    states.
-    """
+    """One transaction of a drain: `read` bytes from `register` on, or as many as `rule` takes from the last answer."""
 
     register: Register
     read: int
@@ -398,9 +390,7 @@ class Icm42688Queue(DieQueue):
         return is_trusted
 
     def _put(self, packets: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
-        """Store packets for their readers; `unread` more were counted. Return False if packets are missing between
-        them.
-        """
+        """Store packets for their readers; `unread` more were counted. False if packets are missing between."""
         size = self.size
         count = len(packets) // size
         self._full = False
@@ -436,9 +426,7 @@ class Icm42688Queue(DieQueue):
 
 
 FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8
-"""Bits of USER_CTRL (6 and 2), INT_STATUS (4), and FIFO_EN with thermometer, gyroscope and accelerometer, equal in the
-family (INV-24, INV-27, INV-98).
-"""
+"""Bits of USER_CTRL (6, 2), INT_STATUS (4), FIFO_EN (thermometer, gyro, accelerometer): INV-24, INV-27, INV-98."""
 
 
 class MpuQueue(DieQueue):

@@ -133,9 +133,7 @@ class _ChannelStream:
         return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:
-        """Read blocks until many rows are buffered, because messages are merged only up to the earliest end of all
-        buffers.
-        """
+        """Read blocks until many rows are buffered: messages are merged only to the earliest end of all."""
         while not self._last and len(self.waiting.time_ns) < _BLOCK:
             block = next(self._blocks, None)
             if block is None:
@@ -171,9 +169,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _merge(container: Container, streams: Sequence[_ChannelStream], source: str) -> None:
-    """Write all messages in the order of their times; messages of equal times are in the order of the streams.
-    ExportError for a time that MCAP can't represent.
-    """
+    """Write all messages by time, equal times by stream. ExportError for a time that MCAP can't represent."""
     while True:
         for stream in streams:
             stream.fill()

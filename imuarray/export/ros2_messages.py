@@ -104,9 +104,7 @@ class Topic(NamedTuple):
     numbers: Callable[[Cells], Floats]
 
     def blocks(self, zero_ns: int, rows: int, meter: Meter) -> Iterator[tuple[Times, npt.NDArray[np.uint8]]]:
-        """Yield times (n,) in ns since 1970 and messages (n, bytes); ExportError for a time that ROS can't
-        represent.
-        """
+        """Yield times (n,) in ns since 1970 and messages (n, bytes); ExportError for a time ROS can't represent."""
         for part in self.table.blocks(rows):
             time_ns = np.asarray(self.table.columns[0].read(part) + zero_ns, np.int64)
             cells = {column.name: np.asarray(column.read(part), float) for column in self.columns}
@@ -192,9 +190,7 @@ def _imu(cells: Cells) -> Floats:
 
 
 def _values(cells: Cells, *, unknown: int) -> Floats:
-    """Return the numbers of a MagneticField, a FluidPressure or a Temperature: the value (n, k), and `unknown` zeros
-    for its covariance, which is not known.
-    """
+    """Return a MagneticField, FluidPressure or Temperature: the value (n, k), and `unknown` zeros for covariance."""
     (values,) = cells.values()
     return np.hstack([values, np.zeros((len(values), unknown))])
 

@@ -46,9 +46,7 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class ExportTable:
-    """Columns of equal length, with time in ns first; `name` is the name of the group in its file ("sensors/Gyro1",
-    "truth").
-    """
+    """Columns of equal length, with time in ns first; `name` is its group in the file ("sensors/Gyro1", "truth")."""
 
     name: str
     rows: int
@@ -67,9 +65,7 @@ class ExportTable:
 
 @dataclass(frozen=True)
 class Content:
-    """An open log or fused file as tables; `head` contains all other data except phases and events, as values for
-    JSON.
-    """
+    """An open log or fused file as tables; `head` contains all but phases and events, as values for JSON."""
 
     units: str
     epoch: str
@@ -86,9 +82,7 @@ class Content:
 
 
 def numbered(wish: str) -> Iterator[str]:
-    """Return an endless sequence of names: the name itself, then name_2, name_3, ..., so that a name in use can be
-    replaced by the next one.
-    """
+    """Return an endless sequence of names: the name itself, then name_2, name_3, ..., for names in use."""
     return chain([wish], (f"{wish}_{number}" for number in count(2)))
 
 

@@ -180,9 +180,7 @@ def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _of_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
-    """Yield every array of an HDF5 file, for example a MATLAB file of version 7.3, which has its dimensions
-    reversed.
-    """
+    """Yield every array of an HDF5 file, such as a MATLAB file of version 7.3, with reversed dimensions."""
     with h5py.File(path, "r") as file:
         arrays: dict[str, Array] = {}
         names: list[str] = []

@@ -35,16 +35,12 @@ _HEADER_WITHIN = 50
 """Number of first rows in which a header is searched for that is not the first row."""
 
 MOST_RESTARTS = 1000
-"""Largest number of backward steps of the time in a recording. A column with more of them does not contain times, or
-the rows are out of order.
-"""
+"""Most backward steps of the time in a recording; with more, it holds no times, or its rows are out of order."""
 
 FEWEST_WHOLE_ROWS = 100
 _FEW_SUMMARIES = 16
 MOST_TORN = 0.01
-"""Largest share of the rows so far that may have another number of cells and are omitted, after at least
-`FEWEST_WHOLE_ROWS` complete rows.
-"""
+"""Largest share of the rows so far that may have another number of cells, after `FEWEST_WHOLE_ROWS` complete ones."""
 
 LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""
@@ -67,9 +63,7 @@ _DIGITS = frozenset("0123456789")
 
 
 class CellColumn(NamedTuple):
-    """The cells of one column in one block with their line numbers: texts, or numbers of a binary file (`values`, with
-    rows in the place of lines).
-    """
+    """The cells of a column in a block with line numbers: texts, or numbers of a binary file (`values`, with rows)."""
 
     source: str
     label: str
@@ -360,9 +354,7 @@ def is_rule(line: str) -> bool:
 
 
 def plain_sentence(line: str) -> str:
-    """Return a sentence that begins like a comment, of NovAtel's receivers or Razor's boards ("#A-R=1.5,2,255"), as
-    cells that commas separate.
-    """
+    """Return a sentence of NovAtel or Razor, which begins like a comment ("#A-R=1.5,2,255"), as cells."""
     sentence = _NOVATEL.fullmatch(line) or _RAZOR.fullmatch(line)
     return line if sentence is None else f"{sentence[1]},{sentence[2]}"
 
@@ -505,9 +497,7 @@ CODES = CodeConversion()
 
 
 def counts(column: CellColumn, codes: CodeConversion = CODES) -> npt.NDArray[np.signedinteger]:
-    """Return (n,) counts, int32 if they have more than 16 bits; SourceError for a cell that is not a number, not an
-    integer, or a count of more bits.
-    """
+    """Return (n,) counts, int32 above 16 bits; SourceError for a cell that is not an integer of at most 32 bits."""
     values = numbers(column)
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
     if codes.sensitivity is None and (whole != values).any():
@@ -599,9 +589,7 @@ class TimeColumn:
         return times
 
     def stamps(self, column: CellColumn) -> npt.NDArray[np.int64]:
-        """Return the times (n,) in ns as stated in the cells, in any order; SourceError for a cell that is not a
-        time.
-        """
+        """Return the times (n,) in ns as the cells state them; SourceError for a cell that is not a time."""
         if column.values is not None:
             return self._of_numbers(column)
         return np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
@@ -615,9 +603,7 @@ class TimeColumn:
         )
 
     def _joined(self, column: CellColumn, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Continue times that step back from the row before, at the usual interval; SourceError if they step back
-        often.
-        """
+        """Continue times that step back, at the usual interval; SourceError if they step back often."""
         if not len(times):
             return times
         steps = np.diff(times, prepend=times[0] if self.last_ns is None else self.last_ns - self._restart_ns)
@@ -671,9 +657,7 @@ class TimeColumn:
         return f"numbers up to {_LAST_NS // self._tick_ns}"
 
     def _of_text(self, column: CellColumn, row: int) -> int:
-        """Return one time, in decimal arithmetic, because seconds since 1970 as a floating-point number do not resolve
-        nanoseconds.
-        """
+        """Return one time, in decimal arithmetic, because floats of seconds since 1970 do not resolve nanoseconds."""
         text = column.texts[row].strip()
         if self._iso:
             return _date_ns(column, row, text)

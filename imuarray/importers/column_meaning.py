@@ -76,9 +76,7 @@ _ANDROID_TYPES: Mapping[str, str] = {
 
 
 def words_of_kind(kind: str, column: str) -> str:
-    """Return the name of a kind of rows: the kind itself, or the name of a number in Android's column of sensor
-    types.
-    """
+    """Return the name of a kind of rows: itself, or the name of a number in Android's column of sensor types."""
     return _ANDROID_TYPES.get(kind, kind) if "type" in column.lower() else kind
 
 
@@ -193,9 +191,7 @@ def _no_time(names: Sequence[str], columns: Sequence[Floats]) -> str:
 
 
 _AXIS = re.compile(r"(?<![A-Za-z])[A-Za-z]?[xyz](?![A-Za-z])|(?<![A-Z])[XYZ](?![A-Za-z])")
-"""The letter of an axis in the name of a column, with or without the letter of a quantity before it: gx_dps, acc_x,
-AccX.
-"""
+"""An axis letter in a column's name, with or without a quantity's letter before it: gx_dps, acc_x, AccX."""
 
 
 def _incomplete_triads(names: Sequence[str], taken: set[int]) -> Iterator[str]:
@@ -223,9 +219,7 @@ def _is_temperature(name: str, units: Mapping[str, str]) -> bool:
 
 
 def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force_unit: str) -> str:
-    """Propose the sensor of a kind of rows: time, and the three columns after it. Return "m/s2" once a sensor of this
-    table has that unit, else "".
-    """
+    """Propose the sensor of a kind of rows: time, three columns. Return "m/s2" once a sensor has that unit, else ""."""
     quantity = next((what for what, words in QUANTITIES if words.search(kind)), "specific_force")
     item = propose_sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
     item.insert(2, f"kind = {quoted(kind)}")
@@ -308,9 +302,7 @@ def _with_gravity_again(
     columns: Sequence[Floats],
     proposal: Proposal,
 ) -> list[tuple[str, tuple[int, int, int]]]:
-    """Return the triads with gravity and the acceleration without gravity combined into one, if the table has no
-    readings of an accelerometer.
-    """
+    """Return the triads with gravity and linear acceleration combined, if the table has no accelerometer readings."""
     forces = [indices for quantity, indices in triads if quantity == "specific_force"]
     if names:
         pulls = [indices for indices in forces if _GRAVITY.search(names[indices[0]])]
@@ -378,9 +370,7 @@ def _with_quantity(
 
 
 _MOST_OF_ONE_SENSOR = 5
-"""Largest number of columns, in addition to time, in a table of one sensor: its axes, and possibly an accuracy or a
-magnitude.
-"""
+"""Largest number of columns besides time in a table of one sensor: axes, possibly an accuracy or a magnitude."""
 
 _PLAIN_COLUMNS = 9
 """Largest number of columns without names that are assumed to be force, rate and field in this order."""

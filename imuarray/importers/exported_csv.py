@@ -140,9 +140,7 @@ class _Tables:
         return [[*(_time(text, path) for text in row[:numbers]), *row[numbers:]] for row in rows]
 
     def _open(self, path: Path) -> tuple[BinaryIO, int]:
-        """Open a file at its row of names, with the number of lines before that; SourceError, also if it is not a
-        regular file.
-        """
+        """Open a file at its row of names, with the number of lines before; SourceError, also for irregular files."""
         if not path.is_file():
             raise SourceError(f"{path}: no such file, although {self._path.name} names it")
         file = open_source(path, self._output)

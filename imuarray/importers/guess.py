@@ -38,17 +38,13 @@ from imuarray.units import UNITS_OF
 _MIMU4444 = 'file = { format = "mimu4444" }'
 
 _SAME_SCALE = 0.25
-"""Largest log ratio between the rotation of gravity and that by a gyroscope, due to quick motion, at which a guessed
-sensitivity is kept.
-"""
+"""Largest log ratio of the rotations of gravity and gyroscope, due to quick motion, at which a guess is kept."""
 _NEAR_UNIT = 0.3
 """Greatest log ratio between the rotation of gravity and that by a gyroscope at which a unit explains it."""
 
 
 def guess_map(source: str | Path) -> str:
-    """Return a map of the recording `source` as TOML text; SourceError if it contains nothing that a map
-    can describe.
-    """
+    """Return a map of the recording `source` as TOML text; SourceError if no map can describe it."""
     path = Path(source)
     if path.is_file() and is_recording(path):
         return f"# Map of {path.name}: packets of a MIMU4444 board, which say the rest.\n{_MIMU4444}\n"
@@ -79,9 +75,7 @@ def guess_map(source: str | Path) -> str:
 
 
 def _assumed_scales(proposal: Proposal) -> Iterator[str]:
-    """Yield a doubt about each gyroscope with an assumed unit or scale, for a recording without rotations that
-    determine it.
-    """
+    """Yield a doubt about each gyroscope with an assumed unit or scale, if no rotations determine it."""
     for item in filter(_is_gyroscope, proposal.items):
         if item.is_guess("sensitivity"):
             per_dps = item.line("sensitivity").split()[2]
@@ -161,9 +155,7 @@ set back, sorting puts the rest of the recording before its beginning.
 
 
 def _extreme_intervals(log: Log) -> tuple[float, float]:
-    """Return the shortest interval between rows of any sensor, as a share of its median interval, and the longest, as a
-    share of the time of all its rows.
-    """
+    """Return the shortest interval of any sensor's rows relative to the median, and the longest to the duration."""
     shortest, longest = [], []
     for sensor in log.sensors.values():
         intervals = [np.diff(np.asarray(sensor.time[block.start : block.stop + 1])) for block in sensor.blocks()]
@@ -259,9 +251,7 @@ def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
 
 
 _SUBTRACTED, _NO_UNIT_EXPLAINS = "gravity may have been removed", "or the unit may be wrong"
-"""Phrases of a report on a sensor without gravity: the first always, the second if the size of its readings does not
-agree with another unit.
-"""
+"""Phrases of a report on a sensor without gravity: always, and if the size of its readings fits no other unit."""
 
 
 def _is_called_computed(item: Item) -> bool:
@@ -270,9 +260,7 @@ def _is_called_computed(item: Item) -> bool:
 
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:
-    """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if the gravity in all directions
-    agrees with mg.
-    """
+    """Replace 1024 counts per g, guessed from one direction of gravity, by mg, if all directions agree with mg."""
     changed = False
     for item in proposal.items:
         length = 1024 * radii.get(item.name, 0.0)

@@ -216,9 +216,7 @@ class TimeTable(BaseModel):
 
 
 class ThermometerTable(BaseModel):
-    """The meaning of `temperature_column`: counts, `zero_degc` + counts / `lsb_per_degc`, or a `unit`, in which the
-    values become counts of `lsb_per_degc`.
-    """
+    """`temperature_column`: counts for `zero_degc` + counts / `lsb_per_degc`, or values in `unit`, stored as those."""
 
     model_config = _STRICT
     unit: Annotated[Literal["counts", "degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "counts"

@@ -65,9 +65,7 @@ class Piece(NamedTuple):
 
 
 def read_packets(file: BinaryIO, block_bytes: int = BLOCK_BYTES) -> Iterator[Piece]:
-    """Yield the packets of `file` in pieces of about `block_bytes`, without the board's acknowledgement of a command at
-    the beginning.
-    """
+    """Yield the packets of `file` in pieces of about `block_bytes`, without an acknowledgement at the beginning."""
     cutter = _Cutter()
     head = file.read(4)
     block = (b"" if _is_acknowledge(head) else head) + file.read(block_bytes)
@@ -94,9 +92,7 @@ class _Cutter:
         self.counted = 0
 
     def cut(self, block: bytes, last: bool = False) -> Piece:
-        """Return the packets of the rest and `block`. Bytes that may be the beginning of a packet are kept, unless
-        `last`.
-        """
+        """Return the packets of the rest and `block`. Bytes that may begin a packet are kept, unless `last`."""
         data = np.frombuffer(self.rest + block, np.uint8)
         good, bad = _find(data)
         end = int(good[-1]) + SIZE if len(good) else 0
@@ -163,9 +159,7 @@ COUNTER_HZ = 64_000_000
 TICKS_PER_PACKET = round(COUNTER_HZ / RATE_HZ)
 
 JUMP_S = 0.5
-"""Allowed difference in s between the counter and the packet numbers, plus 1 % of a gap; a larger difference is an
-event.
-"""
+"""Allowed difference in s between the counter and the packet numbers, plus 1 % of a gap; above it, an event."""
 
 EVENTS_PER_KIND = 100
 """Maximum number of events of one kind; the rest is one event with their number."""

@@ -41,9 +41,7 @@ from imuarray.printable import counted, listed, percent
 from imuarray.units import INERTIAL, STANDARD_GRAVITY, Quantity
 
 WINDOW_S = 0.5
-"""Length of the windows in which rest and rotation are detected: gravity changes little within them, and noise is
-averaged.
-"""
+"""Length of the windows for rest and rotation: gravity changes little within them, and noise is averaged."""
 
 TURN_WINDOW_S = 0.125
 """Length of the windows in which quick rotations are compared: a turn by hand takes a second. Slow rotations, in which
@@ -54,14 +52,10 @@ FEWEST_ROWS = 32
 """Fewest rows of a recording for doubts; a shorter one is an excerpt."""
 
 GRAVITY_OFF = 0.12
-"""Largest plausible relative difference of the force at rest from 1 g: an offset of 50 mg on each axis and a scale
-error of 3 % are together a tenth.
-"""
+"""Largest plausible relative error of 1 g at rest: 50 mg on each axis and a scale error of 3 % are a tenth."""
 
 NEAR_FACTOR = 0.1
-"""Largest log ratio between a measured force and 1 g times the ratio of two units at which a confusion of the units
-explains the force.
-"""
+"""Largest log ratio of a measured force to 1 g times the ratio of two units at which their confusion explains it."""
 
 NEAR_TURNS = 0.3
 """The same limit for rotations, which quick motion disturbs."""
@@ -99,24 +93,18 @@ force. The force then indicates a wrong unit only if it differs from 1 g by more
 """
 
 TURNS_DPS = 1.0
-"""Scatter of the means of a gyroscope's quiet windows in dps, in excess of their noise, above which they are not at
-rest.
-"""
+"""Scatter of the means of a gyroscope's quiet windows in dps beyond noise, above which they are not at rest."""
 
 MOST_BIAS_DPS = 80.0
 """Largest plausible reading of a gyroscope at rest: the largest zero-rate level of a data sheet is 75 dps (L3G-70)."""
 
 NOISY_DPS = 2.0
 NOISY_BIAS_DPS = 20.0
-"""A gyroscope at rest with a noise of more than `NOISY_DPS` and a reading of more than `NOISY_BIAS_DPS` is doubted,
-too.
-"""
+"""A gyroscope at rest with a noise of more than `NOISY_DPS` and a reading of more than `NOISY_BIAS_DPS` is doubted."""
 
 RESOLVED_LSB = 0.3
 QUIET_DPS = 0.003
-"""Least noise (rms) of a MEMS gyroscope. It is compared only if the noise exceeds `RESOLVED_LSB` counts: that of
-rounding is 1 / sqrt(12).
-"""
+"""Least rms noise of a MEMS gyroscope, compared above `RESOLVED_LSB` counts (rounding: 1 / sqrt(12))."""
 
 MOST = MappingProxyType({"specific_force": 450.0, "angular_rate": 4500.0, "magnetic_field": 60.0})
 """Readings (g, dps, gauss) that no usual chip exceeds."""
@@ -157,9 +145,7 @@ less than a count keeps its code at rest, and so do the others nearly.
 """
 
 FITS = 0.95
-"""Least correlation between the rotations of accelerometers and gyroscope at which axes other than those in the map
-fit.
-"""
+"""Least correlation between the rotations of accelerometers and gyroscope at which other axes than the map's fit."""
 
 BETTER = 0.1
 """Least difference between the best and the second-best correlation at which the best axes are stated."""
@@ -210,9 +196,7 @@ _FIELD_UNITS: Mapping[float, str] = {
 _TURN_UNITS: Mapping[float, str] = {
     180 / np.pi: "rad/s, not dps", np.pi / 180: "dps, not rad/s", 1e-3: "mdps, not dps", 1e3: "dps, not mdps",
 }  # fmt: skip
-"""Confusions of units in a map: forces and fields by the ratio of the reading to the known value, rotations by the
-factor by which the rates must be multiplied.
-"""
+"""Confused units: forces and fields by the ratio of reading to known value, rotations by the factor of rates."""
 
 
 @dataclass(frozen=True)
@@ -240,16 +224,12 @@ class _Sentences:
             self.add(name, sentence)
 
     def all(self) -> tuple[str, ...]:
-        """Return the sentences; sensors with the same sentence share it, and sentences that differ only in a number are
-        combined.
-        """
+        """Return the sentences; sensors with the same sentence share it."""
         return tuple(f"{listed(_by_kind(names))}: {sentence}" for sentence, names in self.sentences.items())
 
 
 def _by_kind(names: Sequence[str]) -> list[str]:
-    """Return names grouped by their spelling without numbers, in the order of its first occurrence: A1, A2, G1, G2 for
-    A1, G1, A2, G2.
-    """
+    """Return names grouped by spelling without numbers, in order of occurrence: A1, A2, G1, G2 for A1, G1, A2, G2."""
     kinds: dict[str, list[str]] = {}
     for name in names:
         kinds.setdefault(re.sub(r"\d+", "", name), []).append(name)
@@ -279,9 +259,7 @@ def report_of(log: Log) -> Report:
 
 
 def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> Report:
-    """Store the report on an imported log, and the importer's `remarks`, in the log, and return the report; LogError if
-    the log cannot be read or written.
-    """
+    """Store and return the report on an imported log, with the importer's `remarks`; LogError for an unusable log."""
     with open_log(output) as log:
         report = report_of(log)
     store_import_report(output, ImportReport(report.facts, tuple(remarks), report.quirks, report.doubts))
@@ -290,9 +268,7 @@ def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> Report:
 
 @dataclass
 class _Examination:
-    """Observations of single sensors: sentences, their `levels` at rest by wording, and the windows of sensors with
-    plausible times and codes.
-    """
+    """Observations of sensors: sentences, `levels` at rest by wording, windows where times and codes are plausible."""
 
     quirks: _Sentences = field(default_factory=_Sentences)
     doubts: _Sentences = field(default_factory=_Sentences)
@@ -692,9 +668,7 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
 
 
 def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
-    """Yield accelerometers with a direction of gravity that differs from that of the first one, while both are at
-    rest.
-    """
+    """Yield accelerometers whose direction of gravity at rest differs from that of the first one."""
     forces = _names_of(log, "specific_force", windows)
     for name in forces[1:]:
         first, other = windows[forces[0]], windows[name]
@@ -795,9 +769,7 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
 
 
 def radii_of(log: Log) -> dict[str, float]:
-    """Return the length of gravity in all directions by accelerometer, in g, for accelerometers that were turned
-    enough.
-    """
+    """Return the length of gravity in all directions by accelerometer, in g, where it was turned enough."""
     spheres = {
         sensor.name: fit_sphere(_Windows(sensor, row_timing(sensor)).mean)
         for sensor in log.of("specific_force")
@@ -859,9 +831,7 @@ def _rotations(force: _Windows, rate: _Windows, late: int = 0, most: int | None 
 
 
 class _Delay(NamedTuple):
-    """The delay of a gyroscope against an accelerometer in s, and the correlations of their rotations with it and
-    without it.
-    """
+    """The delay of a gyroscope against an accelerometer in s, and the correlations with it and without it."""
 
     delay_s: float
     with_delay: float
@@ -878,9 +848,7 @@ class _Delay(NamedTuple):
 
 
 def _delay(force: _Windows, rate: _Windows) -> _Delay | None:
-    """Return the delay of a gyroscope against an accelerometer, if it is at least `LATE_S` and explains their rotations
-    better than none; None otherwise.
-    """
+    """Return a gyroscope's delay against an accelerometer; None below `LATE_S` or without a better correlation."""
     at_once = _rotations(force, rate, most=_MOST_WINDOWS)
     if at_once is None:
         return None

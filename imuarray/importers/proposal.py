@@ -96,9 +96,7 @@ class Proposal:
         self.items.append(Item([f"[[{table}]]", self.name_line(stem), *lines]))
 
     def attitude_lines(self, is_comment: bool) -> list[str]:
-        """Return the line of a sensor that adds gravity again by the attitude of its rows; an empty list without an
-        attitude.
-        """
+        """Return the line of a sensor that adds gravity by the attitude; an empty list without an attitude."""
         mark = "# " if is_comment else ""
         return [
             f"{mark}attitude_columns = [{', '.join(names)}]   # w, x, y, z: adds 1 g along up again"
@@ -125,9 +123,7 @@ _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 
 def is_time_of_rows(name: str, values: Floats) -> bool:
-    """Return whether a column has an increasing time for each row: its name is that of a time, or it increases and its
-    name is not that of a row number.
-    """
+    """Return whether a column is an increasing time, by its name or as it increases and is no row number by name."""
     if not increases(values):
         return False
     return bool(TIME.search(name)) or (bool((np.diff(values) > 0).all()) and not INDEX.fullmatch(name.strip()))
@@ -153,9 +149,7 @@ def add_own_time(
     time: tuple[int | None, Mapping[int, str]],
     proposal: Proposal,
 ) -> None:
-    """Add the time column of a sensor to its lines, if it differs from that of the table, `time`, which may be a
-    date.
-    """
+    """Add a sensor's time column to its lines, if it differs from that of the table, `time`, which may be a date."""
     time_of_sensor = _own_time(names[first], names, columns, time[0]) if names else None
     if time_of_sensor is None:
         return
@@ -209,9 +203,7 @@ _OWN_PREFIX = 2
 
 
 def increases(values: Floats) -> bool:
-    """Return whether values (n,) increase like time: all but a hundredth of the steps are positive, because a counter
-    may wrap.
-    """
+    """Return whether values (n,) increase like time: 99 % of the steps are positive, because a counter may wrap."""
     finite = values[np.isfinite(values)]
     if len(finite) < _MOSTLY_KNOWN * len(values):
         return False
@@ -347,9 +339,7 @@ def _counter_lines(name: str, label: str, values: Floats, proposal: Proposal) ->
 
 
 _REGULAR_COUNTER = 0.75
-"""Least share of equal steps of a counter of rows of which some are missing; a counter that rows of several kinds share
-has steps of several sizes.
-"""
+"""Least share of equal steps of a row counter with missing rows; one shared by several kinds has several steps."""
 
 
 def _counts_rows(steps: Floats) -> bool:
@@ -411,9 +401,7 @@ def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
 
 
 _STEPS = (("d", 1e-5), ("s", 0.2), ("ms", 200.0), ("us", 2e5))
-"""Units of time, and the steps from row to row below which they are plausible; larger steps are assumed to be in
-nanoseconds.
-"""
+"""Units of time, and the steps from row to row below which they are plausible; larger steps are nanoseconds."""
 
 
 NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
@@ -510,9 +498,7 @@ UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
 
 
 def is_in_mg(length: float) -> bool:
-    """Return whether the length of gravity in all directions shows that whole numbers are in mg and not 1024 counts per
-    g.
-    """
+    """Return whether the length of gravity in all directions shows whole numbers to be mg, not 1024 counts per g."""
     return abs(ln(length / 1000)) < abs(ln(length / 1024)) and abs(ln(length / 1000)) < _EXACT
 
 
@@ -521,9 +507,7 @@ _EXACT = 0.012
 
 
 def _signed(values: Floats) -> tuple[Floats, list[str], float]:
-    """Return codes (n, 3) as signed codes, the lines of the map for this conversion, and the largest code that is then
-    possible.
-    """
+    """Return codes (n, 3) as signed codes, the lines of the map for this, and the largest possible code."""
     if values.min() < 0 or values.max() >= _CODES_16:
         return values, [], _CODES_16 / 2
     medians = np.median(values, axis=0)
@@ -609,9 +593,7 @@ def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
 
 
 def _unit_of_codes(rates: Floats) -> tuple[str, float] | None:
-    """Return the unit in which the step of rates (n, 3) is that of a chip in a data sheet, and its counts per dps; None
-    unless this is so in exactly one unit.
-    """
+    """Return the only unit in which the step of rates (n, 3) is that of a chip, and its counts per dps, or None."""
     axes = list(rates[:SAMPLE_ROWS].T)
     step = common_step(axes)
     units = []

@@ -53,9 +53,7 @@ NEAR = 3e-4
 """Largest relative difference between a step measured from rounded values and that of the data sheet."""
 
 FULL_SPAN = 1.05 * 32768
-"""Largest number of counts in the range of a 16-bit chip; the range may be slightly larger than that of the output. A
-finer grid is that of the digits of a text.
-"""
+"""Most counts in the range of a 16-bit chip, which may slightly exceed its output; a finer grid is that of digits."""
 
 BEYOND_RANGE = 1.002
 """Ratio of the largest reading to the range of its chip: 32767 / 131 is 250.13 dps in a range of 250 dps."""
@@ -70,9 +68,7 @@ FINE = 1.0
 """Noise (rms) in counts of 16 bits from which on rounding adds less than a tenth to its variance."""
 
 _WIDE_NOISE = 16.0
-"""Least noise in counts after conversion of values with a noise of less than a count of 16 bits: rounding then adds a
-3000th to the variance.
-"""
+"""Least noise in counts after conversion of values with less than a 16-bit count: rounding adds 1/3000 of variance."""
 
 _FEWEST_VALUES = 8
 _OFF_GRID = 0.1
@@ -155,9 +151,7 @@ def _refined(distinct: Floats, step: float) -> float:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Counts per unit and range, both in the log's unit; `is_exact`: the values lie on the grid of these counts, which
-    have `bits`.
-    """
+    """Counts per unit and range, both in the log's unit; `is_exact`: values lie on the grid of counts of `bits`."""
 
     sensitivity: float
     range: float
@@ -196,9 +190,7 @@ def resolution_of(
 
 
 def bits_of(largest: float, end: float) -> int:
-    """Return the number of bits of counts with this `largest` value and the `end` of their range: 16, or as many as
-    required, but at most `MOST_BITS`.
-    """
+    """Return the bits of counts with this `largest` value and `end` of range: 16 or as required, to `MOST_BITS`."""
     if largest <= INT16[1]:
         return 16
     return min(MOST_BITS, 1 + math.ceil(math.log2(max(largest, end * (1 - _DECIMAL)))))

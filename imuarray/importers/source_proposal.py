@@ -150,9 +150,7 @@ def _first_values(source: RecordingRows, name: str, kind: str) -> Floats:
 
 
 def _words_of_frames(source: RecordingRows, kind: str, listed: Sequence[str]) -> tuple[list[str], str]:
-    """Return the columns of frames of a CAN bus in the byte order that gives the smoother values, and the quantity
-    inferred from their length.
-    """
+    """Return the columns of CAN frames in the byte order with the smoother values, and the quantity by their length."""
     numbers = {}
     for order in WORD_ORDERS:
         names = [name for name in listed if name.startswith(order)][:3]
@@ -228,9 +226,7 @@ def _propose_table(text: _Text) -> Proposal:
 
 
 def _dates_of_rows(rows: Sequence[Sequence[str]], names: Sequence[str], columns: Sequence[Floats]) -> dict[int, str]:
-    """Return the columns of dates and the unit of each; empty if the dates are those of packets and another column has
-    the time of each row.
-    """
+    """Return the columns of dates with units; none if dates are those of packets and another column times the rows."""
     dates = dates_of(rows)
     different = len({row[min(dates)] for row in rows}) if dates else 0
     if not dates or different == len(rows):
@@ -289,9 +285,7 @@ def _propose_folder(folder: Path, join_parts: bool) -> Proposal:
 
 
 def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFile]:
-    """Yield the texts of a folder from which sensors can be proposed, all with the layout of the first one; add a doubt
-    for each other file.
-    """
+    """Yield the texts of a folder with sensors in the layout of the first one; add a doubt for each other file."""
     layout_lines: list[str] | None = None
     is_named = sum(bool(quantity_of(name)) for name in texts_in(folder)) > 1
     for name, path in texts_in(folder).items():
@@ -321,9 +315,7 @@ def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFil
 
 
 def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile]]:
-    """Yield groups of files of equal columns that begin one after the other, in this order: they may be parts of one
-    recording.
-    """
+    """Yield groups of files of equal columns that begin one after the other: they may be parts of one recording."""
     by_columns: dict[tuple[str, ...], list[_FolderFile]] = {}
     for file in files:
         if len(file.times):

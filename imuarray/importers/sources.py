@@ -171,9 +171,7 @@ def texts_in(folder: Path) -> dict[str, Path]:
 
 
 def stem_of(path: Path) -> str:
-    """Return the name of a text without its suffix; other dots in it are kept, for example those in times of
-    recording.
-    """
+    """Return the name of a text without its suffix; other dots in it, for example in times, are kept."""
     name = path.name.lower()
     suffix = next((suffix for suffix in sorted(_TEXTS, key=len, reverse=True) if name.endswith(suffix)), path.suffix)
     return path.name[: len(path.name) - len(suffix)] if suffix else path.name
@@ -184,9 +182,7 @@ MOST_UNPACKED = 1 << 34
 
 
 def zipped_texts(path: Path) -> list[zipfile.ZipInfo]:
-    """Return the texts in a zip file: those in the uppermost folder with texts; [] if the file is not a zip file or
-    contains arrays of NumPy.
-    """
+    """Return the texts in a zip file in its uppermost folder with texts; [] for other files and for arrays of NumPy."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = [member for member in archive.infolist() if not member.is_dir()]

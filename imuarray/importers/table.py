@@ -272,9 +272,7 @@ def _barometer_header(item: BarometerTable) -> SensorHeader:
 
 
 def _missing(cells: Sequence[CellColumn]) -> Booleans:
-    """Return (n,) rows in which at least one cell of a sensor has no value, or the text of a damaged line: a triad with
-    two axes is not a reading.
-    """
+    """Return (n,) rows with an empty or torn cell of a sensor: a triad with two axes is not a reading."""
     return np.asarray(np.any([cell.blank() | cell.torn() for cell in cells], axis=0), bool)
 
 
@@ -303,9 +301,7 @@ def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> lis
 
 
 _UNIT_LENGTH = 0.05
-"""Largest deviation of the length of a quaternion from 1; other values, for example zeros before a program has an
-estimate, are not attitudes.
-"""
+"""Largest deviation of a quaternion's length from 1; others, such as zeros before an estimate, are no attitudes."""
 
 
 def _up_in_sensor(quaternion: Floats) -> Floats:
@@ -387,9 +383,7 @@ class _Stream:
         return self._order.in_order(blocks) if self._order is not None else blocks
 
     def _stamps(self, block: CellBlock, places: Sequence[int]) -> Times:
-        """Return the time of each row; a row without time, or of zeros only (padding), has the time of the row
-        before.
-        """
+        """Return the time of each row; a row without time, or of zeros (padding), has that of the row before."""
         cell = block.column(places[0], repr(self.plan.time_column))
         timed = ~(cell.blank() | _zeros(cell))
         stamps = np.concatenate([self._last_stamp, self._clock.stamps(cell.where(timed))])
@@ -425,9 +419,7 @@ class _Stream:
                 self._add_reference(item, cells, time)
 
     def _without_padding(self, cells: dict[Reference, CellColumn]) -> dict[Reference, CellColumn]:
-        """Remove trailing rows of zeros, including time, which a program reserved and did not fill; and rows without
-        time, in which no sensor has a reading.
-        """
+        """Remove trailing rows of zeros, which a program reserved, and rows without time or a reading."""
         column = self.plan.time_column
         if column is None:
             return cells
@@ -488,9 +480,7 @@ class _Stream:
         self.rows_of[sensor.name] += len(triads)
 
     def _lost_before(self, name: str, incomplete: Booleans, complete: Booleans) -> npt.NDArray[np.uint16]:
-        """Flags (k,) of the `complete` rows (n,): lost before, after `incomplete` ones (n,), also of an earlier
-        block.
-        """
+        """Flags (k,) of the `complete` rows (n,): lost before, after `incomplete` ones (n,) or in an earlier block."""
         losses = self._incomplete[name] + np.cumsum(incomplete)
         lost = np.diff(losses[complete], prepend=self._flagged_losses[name]) > 0
         self._incomplete[name] = int(losses[-1])
@@ -604,9 +594,7 @@ class _Recording:
         return (last - first) * 1e-9
 
     def finish(self, source: str, map_path: str, up: str) -> None:
-        """Write the clock, the phases, and the source; SourceError without rows, ConfigError for a phase
-        beyond them.
-        """
+        """Write clock, phases, and source; SourceError without rows, ConfigError for a phase beyond them."""
         for stream in self.streams:
             empty = next((name for name, count in stream.rows_of.items() if not count), None)
             if stream.count == 0 or empty is not None:

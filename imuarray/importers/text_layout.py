@@ -332,9 +332,7 @@ _CLOCK = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d\.\d+")
 
 
 def _is_clock(cells: Sequence[str]) -> bool:
-    """Return whether numbers are times of day: all have the digits of one, and they step by 40 more than the interval
-    after second 59, which seconds do not.
-    """
+    """Return whether numbers are times of day: all have such digits, and step by 40 more after second 59."""
     if not all(map(_CLOCK.fullmatch, cells)):
         return False
     values = np.array([float(cell) for cell in cells])
@@ -348,9 +346,7 @@ def quoted(text: str) -> str:
 
 
 def names_by_kind(path: Path) -> dict[str, list[str]]:
-    """Return the columns' names of each kind of rows, as stated in the FMT rows of an ArduPilot log, and those of known
-    sentences.
-    """
+    """Return the columns' names of each kind of rows, from the FMT rows of an ArduPilot log or of known sentences."""
     with open_source(path, path.with_suffix(".guess")) as file:
         lines = decompress(file).read(_HEAD_BYTES).decode("utf-8", WINDOWS_1252).splitlines()
     rows = [split_cells(line, ",") for line in lines if line.startswith("FMT,")]

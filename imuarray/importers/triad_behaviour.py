@@ -30,14 +30,10 @@ def is_computed_gravity(columns: Sequence[Floats], indices: tuple[int, int, int]
 _MOST_LABELS = 64
 _KNOWN_SHARE = 0.5
 _UNIT_LENGTH = 2e-3
-"""Largest relative scatter of the length of a quaternion, or of gravity from a filter; that of any sensor's readings is
-larger.
-"""
+"""Largest relative scatter of the length of a quaternion, or of gravity from a filter; a sensor's is larger."""
 
 _FOLLOWS_GRAVITY = 0.35
-"""Least correlation between the change of gravity and the change computed from a rate that identifies the rate of a
-gyroscope.
-"""
+"""Least correlation of the change of gravity with that computed from a rate that identifies a gyroscope."""
 
 _SMOOTHED_ROWS = 5
 
@@ -80,9 +76,7 @@ def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator
 
 
 def is_label(values: Floats) -> bool:
-    """Return whether a column is constant, mostly empty, or has few different whole numbers, for example labels of
-    activities.
-    """
+    """Return whether a column is constant, mostly empty, or has few different whole numbers, like activity labels."""
     finite = values[np.isfinite(values)]
     if len(finite) < _KNOWN_SHARE * len(values):
         return True

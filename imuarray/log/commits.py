@@ -31,9 +31,7 @@ COMMITS = "commits"
 _FIXED = 3
 _LONGEST_COMMIT = 1 << 30
 _TRIES, _PAUSE_S = 3, 0.01
-"""Number of attempts to read rows, and the pause between them in s: the writer may be changing the page of the file
-that holds their position.
-"""
+"""Attempts to read rows, and the pause between them in s: the writer may be changing the page with their position."""
 _KEPT_REPLACEMENTS = 4
 """Number of commits whose rows from the journal stay in memory."""
 
@@ -132,9 +130,7 @@ class CommittedRows:
         return [end - start for start, end in zip(segment.start, segment.end, strict=True)]
 
     def check(self) -> list[str]:
-        """Check every commit. Rows that are damaged both here and in the journal are reported, and omitted from
-        now on.
-        """
+        """Check every commit. Rows damaged both here and in the journal are reported, and omitted from now on."""
         lost_rows = np.zeros(len(self._groups), np.int64)
         for segment in self._segments:
             if not self._fits(segment) and self._replaced(segment) is None:

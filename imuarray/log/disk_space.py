@@ -61,9 +61,7 @@ def write_errors(path: Path, *kept: str) -> Iterator[None]:
 
 
 def longest_file() -> int | None:
-    """Return the limit on the length of a file that this process may write, in bytes (RLIMIT_FSIZE); None if there is
-    none.
-    """
+    """Return the limit on the length of this process's files in bytes (RLIMIT_FSIZE); None if there is none."""
     if sys.platform == "win32":
         return None
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]

@@ -32,8 +32,7 @@ PLOTS = "plots"
 """The group of a finished log that NeXus viewers open by default."""
 
 CACHE_BYTES = 1 << 20
-"""Bytes of the chunk cache of each column that is written; the default of HDF5 2.0, 8 MB, is 400 MB for fifty columns.
-"""
+"""Bytes of the chunk cache of each written column; HDF5's default, 8 MB, is 400 MB for fifty columns."""
 
 READ_CACHE_BYTES = 1 << 18
 """Bytes of the chunk cache of each column that is read: at least two chunks of any column. Rows are read in order, so a

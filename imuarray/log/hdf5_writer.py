@@ -124,9 +124,7 @@ def _is_locked(path: Path) -> bool:
 
 
 class Draft:
-    """A log in preparation: rows are added by group and written in whole chunks; `close` makes it a complete log, which
-    `publish` gives its name.
-    """
+    """A log in preparation: rows of groups are written in whole chunks; `close` completes it, `publish` names it."""
 
     def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK, *, durable: bool = False) -> None:
         """Begin; LogError if the file cannot be written, ValueError for impossible headers.
@@ -467,9 +465,7 @@ def write_plots(file: h5py.File, names: Sequence[str]) -> None:
 def write_table(
     file: h5py.File, name: str, fields: Sequence[str], rows: Sequence[Any], renamed: Mapping[str, str]
 ) -> None:
-    """Write a group of equally long columns from named tuples; whole numbers are stored as int64, everything else as
-    text.
-    """
+    """Write a group of equally long columns from named tuples; whole numbers are int64, all else is text."""
     group = file.create_group(name)
     for index, key in enumerate(fields):
         values = [row[index] for row in rows]
@@ -493,9 +489,7 @@ PARTS = ("attributes", *_TABLES)
 
 
 def check_sums(file: Any) -> list[int]:
-    """Return the CRC-32 of the attributes, the phases and the events of an open HDF5 file; on damage h5py raises its
-    own errors.
-    """
+    """Return the CRC-32 of attributes, phases and events of an open HDF5 file; on damage errors of h5py."""
     crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
     sensors, attributes = file["sensors"], [_attributes(file, _LOG)]
     for name in sorted(sensors):

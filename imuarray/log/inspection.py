@@ -44,9 +44,7 @@ _SIGN = b"GCOL"
 _HEAD = 16
 """Bytes before the first object of a heap, and before the data of an object (HDF5 file format, III.E)."""
 LONGEST = 1 << 24
-"""Largest size of a heap in bytes. A heap holds the texts that fit into 4 KiB, or one longer text; the longest one is a
-configuration.
-"""
+"""Largest size of a heap in bytes: it holds texts up to 4 KiB, or a longer one, such as a configuration."""
 
 
 class HeapCheckedFile(io.RawIOBase):
@@ -143,9 +141,7 @@ def _is_version_3(head: bytes) -> bool:
 
 
 class UnclosedFile(HeapCheckedFile):
-    """The bytes of a file, with the flags of its superblock cleared and its actual end; for h5py's driver for Python
-    files.
-    """
+    """The bytes of a file, with its superblock's flags cleared and its actual end, for h5py's file driver."""
 
     def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
         """`check_heaps` as of `HeapCheckedFile`."""

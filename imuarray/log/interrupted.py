@@ -229,9 +229,7 @@ def _view(
     failure: str,
     thorough: bool,
 ) -> LiveView | None:
-    """Combine the undamaged part of the file and the journal (or `failure` it is missing); return None if the file is
-    unusable.
-    """
+    """Combine the undamaged part of the file and the journal (or its `failure`); None if the file is unusable."""
     preamble = own_preamble if journal is None else journal.preamble
     try:
         with h5py.File(UnclosedFile(path), "r") as inspected:

@@ -225,9 +225,7 @@ class JournalLock:
     """The journal of one log, open and locked: no other process writes or recovers that log meanwhile."""
 
     def __init__(self, path: Path, *, create: bool) -> None:
-        """Lock the journal. LogBusyError if another process has locked it; FileNotFoundError if it does not exist and
-        must not be created.
-        """
+        """Lock the journal. LogBusyError if another process has it; FileNotFoundError if it must exist."""
         self.path = journal_of(path)
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         while True:
@@ -274,9 +272,7 @@ class JournalLock:
 
 
 class JournalWriter:
-    """Appends blocks to a locked journal. `mark` is the position after the last block; everything before it is
-    written.
-    """
+    """Appends blocks to a locked journal. `mark` is the position after the last written block."""
 
     def __init__(self, fd: int, preamble: Preamble) -> None:
         """Start the journal with an empty file."""

@@ -115,9 +115,7 @@ class Log:
 
     @property
     def state(self) -> str:
-        """The state "finished", "being written" or "interrupted"; all acknowledged rows of an unfinished log can be
-        read.
-        """
+        """The state "finished", "being written" or "interrupted"; acknowledged rows can be read in any."""
         if self.preamble is None:
             return "finished"
         return "being written" if is_running(self.path) else "interrupted"
@@ -350,9 +348,7 @@ class Log:
 
 
 def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File | LiveView, list[str]]:
-    """Open the file, or the view of a log that is being written or was never finished; also return the paths of what is
-    damaged in a finished log.
-    """
+    """Open the file, or a view of an unfinished log; also return the paths of what is damaged in a finished log."""
     if journal_fd is not None or may_be_unfinished(path):
         unfinished = open_interrupted(path, thorough=thorough, journal_fd=journal_fd)
         if unfinished is not None:
@@ -389,9 +385,7 @@ def open_log(path: str | PathLike[str]) -> Log:
 
 
 def require_logs(logs: Any, call: str, *, or_paths: bool = False) -> None:
-    """Raise LogError if `logs` is not a list or tuple of one open log (`or_paths`) or more; the message names the
-    `call`, such as `calibrate_tumble(*logs)`.
-    """
+    """Raise LogError unless `logs` is a list or tuple of open logs (`or_paths`); `call` is for the message."""
     if not isinstance(logs, Sequence) or isinstance(logs, str):
         raise LogError(f"{call}: {type(logs).__name__} given; allowed is a list of logs")
     if not logs:

@@ -182,9 +182,7 @@ class RotatingWriter:
             part.begins(phase._replace(start_ns=max(phase.start_ns, start_ns)))
 
     def _turn(self) -> None:
-        """Finish the first part if every sensor has rows in the next one, or if a third part has begun (a sensor was
-        silent).
-        """
+        """Finish the first part if every sensor has rows in the next, or a third part has begun."""
         while len(self._open) > 1 and (
             len(self._open) > 2 or min(self._last_ns.values()) >= self._span_ns(self._first)[1]
         ):

@@ -26,8 +26,7 @@ GAP = 3.0
 """Least length of a gap, in usual intervals (the median): an interval with one lost row or one late poll is shorter."""
 
 LEAST_SHARE = 0.05
-"""Least share of the time in gaps for a timing that is not steady; with less, late rows are the usual jitter of a host.
-"""
+"""Least share of the time in gaps for a timing that is not steady; less is the usual jitter of a host."""
 
 LEAST_GAPS = 8
 """Least number of gaps that can show a pattern."""
@@ -56,9 +55,7 @@ SAME = 0.8
 """Least share of gaps with the same number of rows between them for stalls to have a period."""
 
 IRREGULAR = 0.1
-"""Share of the intervals that are gaps, without a period, from which on the intervals are called irregular and not
-stalls.
-"""
+"""Share of gaps, without a period, from which on intervals are called irregular and not stalls."""
 
 _STAMPED_TOGETHER = 100.0
 """Usual rate of rows, relative to the average rate, from which on rows are stamped together: a gap is then an interval

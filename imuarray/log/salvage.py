@@ -111,9 +111,7 @@ class Salvage:
         return int(rows * self._row_bytes[group])
 
     def resume(self, bad: Mark) -> tuple[Mark, Record | None] | None:
-        """Return where good blocks resume after the bad one at `bad`, and the bad one if it could be restored; None if
-        they do not resume within the budget.
-        """
+        """Return where good blocks resume after that at `bad`, and that one if restored; None beyond the budget."""
         chains = self._chains(bad)
         for head_position in self._heads(bad.position):
             if self.is_spent:

@@ -153,9 +153,7 @@ class SensorLog(CountScale):
         return numbers
 
     def _orientation(self) -> Floats:
-        """Return the stored matrix if there is one (a fused or foreign log may have a finer one), else that of
-        `axes`.
-        """
+        """Return the stored matrix if there is one (a fused or foreign log may have it), else that of `axes`."""
         try:
             named = np.array(orientation_of(self.axes))
         except ValueError as error:
@@ -238,9 +236,7 @@ class SensorLog(CountScale):
         return self._column("status") if self._has("status") else np.zeros(len(self), np.uint16)
 
     def compensated(self, name: str) -> NamedColumn:
-        """Return a column in physical units computed with the chip's own calibration ("temperature" degC, "pressure"
-        Pa); LogError.
-        """
+        """Return a column in physical units by the chip's calibration ("temperature" degC, "pressure" Pa); LogError."""
         if not self.has_compensated(name):
             raise LogError(f"{self.where}: column {name} is missing")
         return self._column(name)
@@ -263,9 +259,7 @@ class SensorLog(CountScale):
         return name in self._columns or self._group.get(name) is not None
 
     def _column(self, name: str) -> NamedColumn:
-        """Return a column by its name. It is looked up once, because HDF5 takes as long for it as for reading some
-        thousand rows.
-        """
+        """Return a column by its name. It is looked up once: that takes as long as some thousand rows."""
         if name not in self._columns:
             self._columns[name] = named_column(self._group[name], f"{self.where}: {name}", self._cache)
         return self._columns[name]
@@ -314,9 +308,7 @@ class SensorLog(CountScale):
         return table(self.to_xarray(calibration, phase=phase))
 
     def plot(self, calibration: Calibration | None = None) -> Figure:
-        """Draw the physical values in the box frame over time, or the counts if their unit is unknown;
-        MissingExtraError without matplotlib (extra "report").
-        """
+        """Draw values in the box frame over time, or counts of unknown unit; MissingExtraError without "report"."""
         from imuarray.log.datasets import log_figure
 
         return log_figure([self], calibration)

@@ -89,9 +89,7 @@ class Live:
     def __init__(
         self, path: Path, preamble: Preamble, *, watermark: int, sync_s: float, force: bool, chunk: int = CHUNK
     ) -> None:
-        """Begin: when this returns, the locked journal and the file exist on the disk under their names. LogBusyError,
-        DiskFullError, LogError.
-        """
+        """Begin: then the locked journal and the file are on the disk. LogBusyError, DiskFullError, LogError."""
         self.path = path
         self.error: ImuArrayError | None = None
         self.groups = groups_of(preamble.sensors)
@@ -213,9 +211,7 @@ class Live:
             raise DiskFullError(self.path, f"the log was ended: less than {self._watermark >> 20} MiB are free")
 
     def _has_lost_journal(self) -> bool:
-        """Return whether the journal has lost its name, so that only the HDF5 file would survive a crash and each sync
-        has to commit. An event reports it once.
-        """
+        """Return whether the journal lost its name, so that each sync has to commit; an event reports it once."""
         if self.lock.is_named:
             return False
         if not self._is_journal_lost:
@@ -261,9 +257,7 @@ SYNC_S = 1.0
 
 
 class Block(NamedTuple):
-    """Rows of one sensor: time (n,) int64 ns since the epoch, counts (n, k), status (n,) flags, and further columns of
-    its chip.
-    """
+    """Rows of one sensor: time (n,) int64 ns since the epoch, counts (n, k), status (n,) flags, further columns."""
 
     time: Times
     counts: npt.NDArray[Any]
@@ -495,9 +489,7 @@ class LogWriter:
             raise
 
     def _end(self, live: Live, error: BaseException | None) -> None:
-        """Finish the live log, if there is space; otherwise it remains unfinished and readable. An error of the thread
-        is raised unless it was raised before.
-        """
+        """Finish the live log, or leave it unfinished and readable without space; raise an error of the thread once."""
         remark = KEPT
         try:
             live.close()
@@ -622,9 +614,7 @@ def _copy(path: Path, output: Path) -> None:
 
 
 def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tuple[Event, ...]) -> None:
-    """Write a finished copy of an unfinished log with the events `added`, check that it is equal, and rename it to
-    `target`.
-    """
+    """Write a finished copy of a log with the events `added`, check it, and rename it to `target`."""
     if log.preamble is None:
         raise LogError(f"{log.path}: is finished")
     try:

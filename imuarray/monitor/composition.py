@@ -168,9 +168,7 @@ _PATIENCE_S = (0.02, 0.05, 0.0)
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:
-    """Return the average of the sensors of `log`, which has the last seconds; ImuArrayError states why there is
-    none.
-    """
+    """Return the average of the sensors of `log`(last seconds); ImuArrayError states why there is none."""
     block = FusedBlock.joined(list(fuse(log, calibration, TECHNIQUE)))
     return _view(TECHNIQUE, bool(calibration.sensors), block)
 

@@ -204,9 +204,7 @@ THEMES: Mapping[str, Theme] = {"light": Theme("#3d4653", "#dfe3e8"), "dark": The
 
 
 class FigureKind(NamedTuple):
-    """The kind of figures that differ only by their data: "trace" over time or "density" over frequency, the names of
-    the columns, and the unit.
-    """
+    """A kind of figures that differ by data only: "trace" over time or "density" over frequency, columns, unit."""
 
     plot: str
     columns: tuple[str, ...]

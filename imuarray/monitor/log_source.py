@@ -34,9 +34,7 @@ AT_ONCE = 1 << 19
 
 
 class Backlog:
-    """The rows from before the monitor began: (time column, number of rows) by sensor. `close` is called when all are
-    counted.
-    """
+    """The rows from before the monitor began: (time column, number of rows) by sensor. `close` when all are counted."""
 
     def __init__(self, columns: Mapping[str, tuple[Any, int]], close: Callable[[], None] = lambda: None) -> None:
         self._columns = dict(columns)

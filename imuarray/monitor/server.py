@@ -48,9 +48,7 @@ HEADERS: Mapping[str, str] = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Headers of every response. 'unsafe-inline' is allowed for styles, because Bokeh adds styles for its figures to the
-page.
-"""
+"""Headers of every response. 'unsafe-inline' is allowed for styles, because Bokeh adds styles to the page."""
 
 _OWN_SITE = frozenset({"", "none", "same-origin"})
 _TOKEN_BYTES = 24

@@ -16,9 +16,7 @@ Stage = TypeVar("Stage", Instants, BoxStimulus, Analog, Codes)
 
 
 def acting(effect: Effect, run: int) -> Effect | None:
-    """Return the effect as it acts in the run with that number: unchanged, limited to its spans, or None if it does not
-    act.
-    """
+    """Return the effect as it acts in run number `run`: unchanged, limited to spans, or None if it does not act."""
     if not effect.spans:
         return effect
     own = [(begin_s, end_s) for number, begin_s, end_s in effect.each_span() if number == run]
@@ -59,9 +57,7 @@ class _Within(Effect):
         return self.effect.lookback(at)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Raise ValueError for an effect that changes the times of the chip's readings, which cannot be limited to
-        single rows.
-        """
+        """Raise ValueError for an effect on the times of the chip's readings, which cannot be limited to rows."""
         return _mixed(instants, self.effect.sampled(instants, at), self._inside(instants.stamp_ns))
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
@@ -69,9 +65,7 @@ class _Within(Effect):
         return np.where(inside, self.effect.flagged(status, instants, at), status)
 
     def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
-        """Return the stimulus unchanged; ValueError if the effect changes it, because the stamps of rows are unknown at
-        this stage.
-        """
+        """Return the stimulus unchanged; ValueError if the effect changes it: the stamps of rows are unknown here."""
         changed = self.effect.stimulus(stimulus, at)
         if changed is not stimulus:
             raise ValueError(f"spans: {self.effect.name} can't act for a part of a run")

@@ -28,16 +28,12 @@ because the rates of the ADXL345 are octaves apart (ADX-32).
 
 _ON_TIME = 1e-6
 _ROUNDED_S = 1e-9
-"""Tolerances of a due time, as a fraction of a period and in s (the rounding of times). A reading that is due within
-the larger of the two counts as made.
-"""
+"""Tolerances of a due time, as a fraction of a period and in s (rounding); the larger one applies."""
 
 
 @dataclass(frozen=True)
 class CodeSpan:
-    """The lowest and highest code, the step between codes that occur, and the code that the chip delivers beyond
-    them.
-    """
+    """The lowest and highest code, the step between codes that occur, and the code beyond them."""
 
     lowest: int
     highest: int
@@ -55,9 +51,7 @@ _COUNT_BITS = 16
 
 
 def thermometer_of(header: SensorHeader) -> ChipThermometer | None:
-    """Return the chip's own thermometer, from its header or otherwise from its data sheet; None if the chip has none,
-    or if the meaning of its counts is unknown.
-    """
+    """Return the chip's thermometer, by its header or else its data sheet; None without one or for unknown counts."""
     if not header.has_temperature:
         return None
     scale = header.thermometer
@@ -74,23 +68,17 @@ def thermometer_counts(thermometer: ChipThermometer, temperature_degc: Reals) ->
 
 
 def even_step(chip: str, rate_hz: float) -> int:
-    """Return 2 for an ADXL345 at a rate at which only even codes occur (ADX-47), otherwise 1. The actual rate may
-    differ slightly from the configured one.
-    """
+    """Return 2 for an ADXL345 near a rate at which only even codes occur (ADX-47), otherwise 1."""
     return 2 if chip == "adxl345" and rate_hz >= _NEAREST * EVEN_ONLY_FROM_HZ else 1
 
 
 def adxl345_bandwidth_hz(rate_hz: float) -> float:
-    """Return the bandwidth of the ADXL345's noise in Hz: half the data rate (ADX-32), and below 100 Hz that of 100 Hz
-    (ADX-68).
-    """
+    """Return the bandwidth of the ADXL345's noise in Hz: half the rate (ADX-32), at least that of 100 Hz (ADX-68)."""
     return max(rate_hz, 100.0) / 2
 
 
 def code_span(sensor: SensorHeader) -> CodeSpan:
-    """Return the code span of a triad as it is configured (ADX-46, BMA-60, HMC-32, TDK-13); for other chips, the span
-    of all bits.
-    """
+    """Return the code span of a triad as configured (ADX-46, BMA-60, HMC-32, TDK-13), else that of all bits."""
     if sensor.chip == "adxl345":
         half = round(sensor.range * 256)
         step = even_step(sensor.chip, sensor.rate_hz)

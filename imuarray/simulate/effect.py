@@ -109,9 +109,7 @@ class Effect:
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def active_axes(self) -> tuple[bool, ...]:
-        """Return (3,) on which axes the effect acts, by its parameters per axis; False for all axes if it has no such
-        parameters.
-        """
+        """Return (3,) on which axes the effect acts, by its parameters per axis; False without such parameters."""
         axis_fields = [item for item in fields(self) if item.metadata.get("per_axis")]
         idle = type(self)()
         return tuple(

@@ -79,9 +79,7 @@ def turn_on(wanted: ExperimentOptions) -> Motion:
 
 
 def motion(wanted: ExperimentOptions) -> Motion:
-    """Return a box at rest, moved, and at rest again; or the motion that a file describes. SourceError for a file that
-    can't be read.
-    """
+    """Return a box at rest, moved, and at rest again; or the motion of a file. SourceError for an unreadable file."""
     if wanted.drive not in DRIVES:
         if not Path(wanted.drive).exists():
             near = guess(wanted.drive, DRIVES) or guess_file(wanted.drive)
@@ -131,9 +129,7 @@ class BootRun:
 
 
 def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
-    """Return a run with the sensors, times, faces and temperature of another log; LogError for a sensor that the log
-    does not have.
-    """
+    """Return a run with the sensors, times, faces and temperature of a log; LogError for a sensor it lacks."""
     return BootRun(path, plan_like(log, only), LikeLog(log), boot)
 
 
@@ -157,9 +153,7 @@ def array_like(log: Log, only: Collection[str]) -> ArrayConfig:
 def turn_on_series(
     array: ArrayConfig, path: Path, options: ExperimentOptions, rate_hz: float, boots: Sequence[int]
 ) -> list[BootRun]:
-    """Return the logs of a turn-on series, one for each of the `boots`: SIM_01.h5, SIM_02.h5, ... in the folder
-    of `path`.
-    """
+    """Return the logs of a turn-on series, one per boot: SIM_01.h5, SIM_02.h5, ... in the folder of `path`."""
     digits = max(2, len(str(len(boots))))
     listed = []
     for k, boot in enumerate(boots, 1):
@@ -179,9 +173,7 @@ def run_of(
 def with_effects(
     effects: Mapping[str, Sequence[Effect]], added: Mapping[str, Sequence[Effect]]
 ) -> dict[str, tuple[Effect, ...]]:
-    """Return the effects of each sensor including those `added`, in physical order; ConfigError for an unknown
-    sensor.
-    """
+    """Return the effects of each sensor with those `added`, in physical order; ConfigError for an unknown sensor."""
     for name in added:
         if name not in effects:
             raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")

@@ -21,9 +21,7 @@ from imuarray.log.format import LOST_BEFORE
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 _TIGHT_NS = 500_000
-"""Limit of the spread in ns of the intervals between two readings of a frame, apart from waits. Above it, intervals
-contain idle time, which a wait shortens.
-"""
+"""Limit of the spread of intervals in a frame in ns, apart from waits; above it, they contain idle time."""
 
 _LEAST_NS = 250_000
 """Half of the shortest wait that is evaluated, in ns."""
@@ -106,9 +104,7 @@ def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog])
 
 
 class _HostDelays(NamedTuple):
-    """The delays of one sensor: rows (w,) before which the host waited, half of the waits (w,), and the times (l,) of
-    rows flagged as following a loss.
-    """
+    """One sensor's delays: rows (w,) before which the host waited, half the waits (w,), and times (l,) after losses."""
 
     waited: Integers
     half_ns: Integers
@@ -215,9 +211,7 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
 
 
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
-    """Return the numbers of the sensor's rows that were lost while every other sensor also lost rows, which means that
-    the host did not read.
-    """
+    """Return the rows that were lost while every other sensor also lost rows: the host did not read."""
     other_times = [times for other, times in after.items() if other != name]
     if not isinstance(line, GapFilledTimes) or not other_times:
         return _NOTHING

@@ -28,8 +28,7 @@ from imuarray.simulate.signal import Place, Triple
 from imuarray.simulate.streams import Stream
 
 KNOTS = 4096
-"""Knots per chunk of a process. Drawing them dominates the cost, but few are drawn in vain beyond a requested stretch.
-"""
+"""Knots per chunk of a process. Drawing them dominates the cost; few beyond a requested stretch are drawn in vain."""
 
 _PER_TIME_CONSTANT = 500
 _RANDOM_WALK_KNOT_S = 0.1
@@ -41,9 +40,7 @@ _FORGOTTEN = 42.0  # time constants; exp(-42) of the past is below the last bit
 
 
 class Recursion(NamedTuple):
-    """The recursion x[k + 1] = exp(-decay) x[k] + w, w ~ N(0, step^2), x[0] ~ N(0, initial^2); `decay` 0 is a random
-    walk.
-    """
+    """The recursion x[k + 1] = exp(-decay) x[k] + w, w ~ N(0, step^2), x[0] ~ N(0, initial^2); 0: random walk."""
 
     decay: float
     step: float
@@ -107,9 +104,7 @@ class SlowProcess:
         return np.asarray(self._inside.recall(("knots", self._recursion, chunk), lambda: self._drawn(chunk)), float)
 
     def _drawn(self, chunk: int) -> Floats:
-        """Return the knots (KNOTS, 3) of one chunk: drawn without regard to the end, then corrected to meet the drawn
-        end.
-        """
+        """Return the knots (KNOTS, 3) of one chunk: drawn without regard to the end, then corrected to meet it."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
         steps = self._draws.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
@@ -121,9 +116,7 @@ class SlowProcess:
         return knots
 
     def _edges(self, chunk: int) -> tuple[Floats, Floats]:
-        """Return the first and last value of a chunk, including the steps of earlier chunks that still have an
-        influence.
-        """
+        """Return the first and last value of a chunk, with the steps of earlier chunks that still have influence."""
         stimulus = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
         earliest = max(0, chunk - stimulus)
         steps = self._ends.normal(earliest, chunk + 2).astype(float)

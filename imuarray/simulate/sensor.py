@@ -33,9 +33,7 @@ from imuarray.simulate.timeline import Timeline
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 _WORTH_IT = 1024
-"""Number of rows below which a request computes its whole chunk, because further rows of it are likely to be
-requested.
-"""
+"""Number of rows below which a request computes its whole chunk, because more of it will likely be requested."""
 
 NO_READY_BIT = ("hmc5883", "hmc5883l", "mmc5983")
 """Chips whose ready bit no driver reads: only repeated triads show that a reading is stale."""
@@ -87,9 +85,7 @@ class Surroundings:
 
 
 class _SharedSignal(NamedTuple):
-    """The memory that stores signals after the first `effects` acting effects, and the `owner` to which they belong in
-    it.
-    """
+    """The memory that stores signals after the first `effects` acting effects, and the `owner` they belong to."""
 
     memory: DrawMemory
     owner: Hashable
@@ -141,9 +137,7 @@ class SimulatedSensor:
         self._shared: _SharedSignal | None = None
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
-        """Keep computed rows in a memory, in which they belong to `owner`, instead of keeping only the latest in this
-        sensor.
-        """
+        """Keep computed rows of `owner` in a memory, instead of only the latest in this sensor."""
 
         def chunk(number: int, swapped: bool) -> Chunk:
             key = (owner, number, swapped)
@@ -182,9 +176,7 @@ class SimulatedSensor:
         )
 
     def codes(self, first: int, stop: int) -> Codes:
-        """Return the codes of rows first ... stop - 1, including dropped ones, without a channel swap; ValueError
-        beyond the last row.
-        """
+        """Return the codes of rows first ... stop - 1, also dropped ones, before a channel swap; else ValueError."""
         if stop > self.rows:
             raise ValueError(f"{self.header.name}: row {stop - 1} of {self.rows}")
         parts = [
@@ -229,9 +221,7 @@ class SimulatedSensor:
         return _arriving_of(self._evaluate(begin, end), 0, end - begin)
 
     def _evaluate(self, begin: int, end: int, swapped: bool = True) -> Chunk:
-        """Compute rows begin ... end - 1, with the sensor's own channel swap, or without it if a neighbour requests
-        them.
-        """
+        """Compute rows begin ... end - 1, with the sensor's channel swap, or without it for a neighbour."""
         first = max(0, begin - self._lookback)
         acting = [(effect, at) for effect, at in self._acting if swapped or effect.name != "channel_swap"]
         instants, codes = self._chain(first, end, acting)

@@ -122,22 +122,16 @@ class Place:
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def kept(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
-        """Return the result of `make`, which is evaluated once; `key` contains everything that it depends on besides
-        this place.
-        """
+        """Return the result of `make`, which is evaluated once; `key` holds all it depends on besides this place."""
         kept: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
         return kept
 
     def row_at(self, at_ns: float, stop: int) -> int:
-        """Return the first of the rows before `stop` whose stamp is not earlier than this time; `stop` if there is
-        none.
-        """
+        """Return the first of the rows before `stop` whose stamp is not earlier than this time; else `stop`."""
         return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
     def rows_in(self, first: int, stop: int, stretches_ns: Iterable[tuple[float, float]]) -> Iterator[tuple[int, int]]:
-        """Yield, for each stretch (from, until) that overlaps rows first ... stop - 1, its first row and the row after
-        its last one, at most `stop`.
-        """
+        """Yield begin and end row of each stretch (from, until) within rows first ... stop - 1."""
         first_ns, last_ns = (int(self.stamps(row, row + 1)[0]) for row in (first, stop - 1))
         for due_ns, over_ns in stretches_ns:
             if due_ns <= last_ns and over_ns > first_ns:

@@ -40,9 +40,7 @@ _FRAMES_LIKE_HZ = 50.0
 
 @dataclass(frozen=True)
 class Plan:
-    """The sensors and the times at which they are read. A simulation and a recording of the same run have them in
-    common.
-    """
+    """The sensors and the times at which they are read. A recording of the same run shares them."""
 
     sensors: Mapping[str, tuple[SensorHeader, Timeline]]
     frames: PollTimes
@@ -123,9 +121,7 @@ class Simulation:
         seed: int = 0,
         boot: int = 0,
     ) -> Simulation:
-        """Return the simulation of an array that is polled during the whole motion, with its units as `model` defines
-        them.
-        """
+        """Return the simulation of an array that is polled during the whole motion, with units by `model`."""
         plan = plan_of(array, frame_rate_hz, motion.seconds)
         return cls(plan, motion, effects_of(plan, model, seed), seed=seed, boot=boot)
 

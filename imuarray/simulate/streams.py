@@ -82,9 +82,7 @@ class Stream:
         return self._rows(self._normal_chunk, start, stop)
 
     def uniform(self, start: int, stop: int) -> Reals:
-        """Return (stop - start, width) independent numbers in [0, 1); read-only. Use either `normal` or `uniform` of
-        one stream, not both.
-        """
+        """Return (stop - start, width) independent numbers in [0, 1); read-only. Use only one kind per stream."""
         return self._rows(self._uniform_chunk, start, stop)
 
     def generator(self, chunk: int = 0) -> np.random.Generator:
@@ -146,9 +144,7 @@ class Stream:
 
 
 class Streams:
-    """All streams of one simulation: the draws of the units depend on `seed`, those that differ from run to run on
-    `seed` and `boot`.
-    """
+    """All streams of one simulation: draws of units depend on `seed`, those of runs on `seed` and `boot`."""
 
     def __init__(self, seed: int, boot: int = 0, memory: DrawMemory | None = None) -> None:
         if seed < 0 or boot < 0:
@@ -165,9 +161,7 @@ class Streams:
         chunk_rows: int = CHUNK,
         scale: Sequence[float] | None = None,
     ) -> Stream:
-        """Return a stream that differs from run to run; `chunk_rows` are drawn at a time and are part of its
-        identity.
-        """
+        """Return a stream that differs from run to run; `chunk_rows`, drawn at a time, are part of its identity."""
         stream = Stream((self.seed, 1 + self.boot, *_words(name)), width, dtype, chunk_rows, scale)
         stream.memory = self.memory
         return stream

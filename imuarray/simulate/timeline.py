@@ -146,9 +146,7 @@ class LogTimes:
         return self._sensor.time
 
     def _between_pauses(self) -> float:
-        """Return the rows per second of the stretches between pauses of the recorder; 0 for a single row. Reads the
-        times once.
-        """
+        """Return the rows per second of the stretches between pauses of the recorder; 0 for a single row."""
         intervals, span_ns, usual_ns = 0, 0, 0.0
         for start in range(0, self.rows - 1, _PIECE):
             steps_ns = np.diff(np.asarray(self._time[start : start + _PIECE + 1], np.int64))
@@ -169,9 +167,7 @@ class LogTimes:
 
     @cached_property
     def _single_stamp(self) -> Callable[[int], Integers]:
-        """Return the cached stamp (1,) of a single row, because those at the ends of phases are requested
-        repeatedly.
-        """
+        """Return the cached stamp (1,) of a single row, as those at the ends of phases recur."""
         return lru_cache(maxsize=_SINGLE)(lambda row: np.asarray(self._time[row : row + 1], np.int64))
 
 
@@ -255,9 +251,7 @@ def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
 
 
 def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
-    """Yield, for each block with holes: the rows before which others are missing, how many, and whether they are
-    flagged.
-    """
+    """Yield, for each block with holes: the rows before which others are missing, how many, whether flagged."""
     usual_ns, is_regular = 0.0, False
     for block in sensor.blocks():
         first = max(block.start - _AROUND - 1, 0)
@@ -296,9 +290,7 @@ def _is_beat(rows: Integers) -> bool:
 
 
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
-    """Return the timelines of an array that is polled `frame_rate_hz` times a second for `seconds`; ConfigError if the
-    bus is too slow.
-    """
+    """Return the timelines of an array polled `frame_rate_hz` times a second; ConfigError if the bus is too slow."""
     if not frame_rate_hz > 0:
         raise ConfigError(f"{frame_rate_hz:g} frames per second: allowed is anything above 0")
     frames, period_ns = frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz)
@@ -329,9 +321,7 @@ def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
 
 
 def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int], int]:
-    """Return the delays in ns from the start of a frame to each sensor's burst, in the forward and in the reverse
-    order, and the duration of a frame.
-    """
+    """Return the delays in ns from the start of a frame to each burst, forward and reverse, and its duration."""
     segments: dict[int | str | None, list[SensorConfig]] = {}
     for sensor in array.sensors:
         segments.setdefault(sensor.bus or sensor.channel, []).append(sensor)

@@ -59,9 +59,7 @@ class OdrError(Effect):
         return replace(instants, rate_hz=set_hz * self.clock_ratio)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Scale the noise and set the converter. ValueError for a bandwidth if the chip has none that can be
-        configured.
-        """
+        """Scale the noise and set the converter. ValueError for a bandwidth if that of the chip is fixed."""
         if math.isnan(self.rate_hz) and math.isnan(self.bandwidth_hz):
             return analog  # an oscillator's error alone is already part of the instants
         set_hz = analog.rate_hz / self.clock_ratio if math.isnan(self.rate_hz) else self.rate_hz
@@ -192,9 +190,7 @@ class RangeReset(Effect):
         return marked
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
-        """Yield the known stretches of this run: the time from which rows are suspect, and beginning and end of the
-        other range (ns).
-        """
+        """Yield the known stretches of this run: begin of suspect rows, begin and end of the other range (ns)."""
         resets = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
         for run, moment_s, length_s, doubt_s in resets:
             if run == at.streams.boot:
@@ -218,9 +214,7 @@ def _sensitivity(sensor: SensorHeader, range_: float) -> float:
 
 
 def _from(since: Booleans, new: Number, old: Number | Reals, dtype: npt.DTypeLike) -> Number | Reals:
-    """Return `new` for the rows where `since` is true and `old` for the others; a single number if it is the same for
-    all rows.
-    """
+    """Return `new` for the rows where `since` is true and `old` for the others; one number if all are equal."""
     if since.all():
         return new
     return np.asarray(np.where(since[:, None], new, old), dtype)
@@ -343,9 +337,7 @@ class AdaptiveRange(Effect):
     hold_s: float = scalar(0.0, low=0.0, high=1.0)
 
     def lookback(self, at: Place) -> int:
-        """Return the number of rows before a stretch that can affect it: a run of held rows, the crossing before it,
-        and one more row.
-        """
+        """Return how many rows before a stretch can affect it: a run of held rows, the crossing, and one more."""
         if not self._acts:
             return 0
         return LONGEST + math.ceil(self.hold_s * at.rows_per_s) + 2
@@ -375,9 +367,7 @@ class AdaptiveRange(Effect):
         return replace(codes, counts=np.where(is_held[:, None], shown[run], codes.counts))
 
     def _noticed_ns(self, codes: Codes, passed: Indices, period_ns: float, sensitivity: float) -> Floats:
-        """Return the time at which the chip detects each crossing: its first reading after the crossing, in a row of
-        `passed`.
-        """
+        """Return the time at which the chip detects each crossing: its first reading after it, in a row of `passed`."""
         before, after = (np.abs(codes.counts[rows]).astype(float) for rows in (passed - 1, passed))
         limit = self.threshold * sensitivity
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,9 +20,7 @@ from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.units import STANDARD_GRAVITY
 
 _SMALL = 0.2
-"""Squared angle in rad2 below which series are used; below it the terms after the seventh, which are neglected, are
-smaller than the last bit.
-"""
+"""Squared angle in rad2 below which series are used; there the terms after the seventh are below the last bit."""
 
 
 class Attitude(Protocol):
@@ -107,9 +105,7 @@ class RotationVector:
 
 
 def _series(offset: int) -> Reals:
-    """Return the coefficients of sum of (-x)^k / (2 k + offset)!, highest power first: sinc, versine, rest of x =
-    theta^2 for offset 1, 2, 3.
-    """
+    """Return the coefficients of sum of (-x)^k / (2 k + offset)!, highest power first, x = theta^2."""
     return np.array([(-1.0) ** k / math.factorial(2 * k + offset) for k in range(8)])[::-1]
 
 

@@ -186,9 +186,7 @@ class _Cells(NamedTuple):
 
 
 def load_trajectory(path: str | PathLike[str]) -> Trajectory | StimulusRows:
-    """Return the motion that the file describes; SourceError, in one line, names the line and column that can't be
-    read.
-    """
+    """Return the motion that the file describes; SourceError, in one line, names line and column."""
     from imuarray.importers.cells import nanoseconds  # importers are loaded only if a file is read
 
     cells = _read(Path(path))

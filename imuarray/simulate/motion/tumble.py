@@ -124,9 +124,7 @@ class Tumble:
         return (self._period_ns - self._face_ns) * 1e-9
 
     def _progress(self, time_ns: Integers) -> tuple[Integers, Reals]:
-        """Return (n,) the number of the face that is or was last up, and (n,) the elapsed share of the turn away from
-        it.
-        """
+        """Return (n,) the number of the face last up, and (n,) the elapsed share of the turn away from it."""
         since_ns = np.clip(time_ns, 0, LAST * self._period_ns)
         index = since_ns // self._period_ns
         turning_ns = since_ns - index * self._period_ns - self._face_ns
@@ -159,8 +157,6 @@ class Tumble:
 
 
 def _seen(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> Reals:
-    """Return the vector (n, 3) in a box that has turned by an angle, given its sine and cosine - 1, both (n, 1)
-    (Rodrigues).
-    """
+    """Return the vector (n, 3) in a box turned by an angle, given its sine and cosine - 1, both (n, 1) (Rodrigues)."""
     vector_box: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
     return vector_box

@@ -27,17 +27,13 @@ if TYPE_CHECKING:
 GOING_SHARE = 0.2
 BRAKING_SHARE = 0.15
 BENDS = ((0.15, 0.45, 1.0), (0.50, 0.88, -1.0))
-"""Beginning and end of each bend as shares of the drive, and its direction: 1 is left. The vehicle still accelerates in
-the first bend, and brakes in the second.
-"""
+"""Beginning and end of each bend as shares of the drive, and direction (1: left); it accelerates and brakes in them."""
 
 BEND_RAMP = 0.3
 """Share of a bend during which its curvature increases; it decreases during an equal share at the end."""
 
 LEAN_RAD_PER_MPS2 = math.radians(0.4)
-"""Angles per acceleration by which the body rolls in a bend, pitches up when accelerating and pitches down when
-braking.
-"""
+"""Angles per acceleration by which the body rolls in a bend, pitches up when accelerating and down when braking."""
 
 ROAD_HZ = np.geomspace(1.0, 15.0, 9)
 """Edges in Hz of the bands, each with one sine, from the motion of the sprung body to that of the wheels."""
@@ -135,9 +131,7 @@ class Vehicle(MotionBetweenRests):
         return heave, EulerAngles(roll + lean, pitch - back, np.array([yaw, w, w1]))
 
     def _road(self, seconds: Reals, pace: Reals, pace1: Reals, pace2: Reals) -> Reals:
-        """Return (3, 3, n): heave in m, roll and pitch in rad, each with two derivatives, in proportion to `pace`
-        (n,).
-        """
+        """Return (3, 3, n): heave in m, roll and pitch in rad, with two derivatives, in proportion to `pace` (n,)."""
         hertz, sines, cosines = self._sines
         free, slope, bend = np.zeros((3, 3, len(seconds)))
         for number, omega in enumerate(2 * math.pi * hertz):
@@ -152,9 +146,7 @@ class Vehicle(MotionBetweenRests):
 
     @cached_property
     def _sines(self) -> tuple[Reals, Reals, Reals]:
-        """Return (8,) frequencies and (3, 8) amplitudes of the sines and of the cosines: heave in m, roll and pitch in
-        rad.
-        """
+        """Return (8,) frequencies and (3, 8) amplitudes of sines and cosines: heave in m, roll and pitch in rad."""
         generator = np.random.default_rng([self.seed, 3])
         low, high = ROAD_HZ[:-1], ROAD_HZ[1:]
         hertz = low * (high / low) ** generator.random(len(low))
