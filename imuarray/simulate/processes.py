@@ -3,9 +3,10 @@
 A process is generated on knots, every `spacing` rows, and is linear in between. If every row is a knot, it is exact.
 Otherwise knots are at most a five hundredth of a time constant apart (a tenth of a second for a random walk). This
 omits less than 0.1 % of the variance of a Gauss-Markov process, at frequencies at which the white noise of every sensor
-is many thousand times stronger. The spacing of a Gauss-Markov process is a power of two and its draws do not depend on
-the time constant. A slightly different time constant therefore gives a slightly different process, unless the spacing
-changes.
+is many thousand times stronger. Between the knots of a process that is part of a sum (flicker noise) the faster
+processes contribute more, so that knots may be further apart (`_OF_A_SUM`). The spacing of a Gauss-Markov process is a
+power of two and its draws do not depend on the time constant. A slightly different time constant therefore gives a
+slightly different process, unless the spacing changes.
 
 Knots are grouped in chunks. The values at the beginning and end of each chunk are drawn first, from a separate stream
 and with the exact law x[end] = phi**KNOTS x[begin] + w. The knots inside are drawn from another stream without regard
@@ -30,7 +31,13 @@ from imuarray.simulate.streams import Stream
 KNOTS = 4096
 """Knots per chunk of a process. Drawing them dominates the cost; few beyond a requested stretch are drawn in vain."""
 
-_PER_TIME_CONSTANT = 500
+_PER_TIME_CONSTANT = 500  # least number of knots
+_OF_A_SUM = 16
+"""Least number of knots in a time constant of a process that is part of a sum. At most 2 % of the variance of the
+process is omitted, at frequencies above eight periods in its time constant. In 1/f noise the contribution of a process
+there is 2 % of that of the faster ones.
+"""
+
 _RANDOM_WALK_KNOT_S = 0.1
 _WIDEST = 256  # rows per knot above which knots cost little
 _ENDS = 64  # chunks of knots whose ends are drawn together
@@ -84,7 +91,7 @@ class SlowProcess:
         does not depend on the requested stretch.
         """
         begin = piece * self._piece_knots
-        knots = (self._between(begin, begin + self._piece_knots + 1) * self._scale).astype(dtype)
+        knots = (self._between(begin, begin + self._piece_knots) * self._scale).astype(dtype)
         if self.spacing == 1:
             return np.asarray(knots[:-1])
         pairs = np.concatenate([knots[:-1], knots[1:]], axis=1)
@@ -93,25 +100,30 @@ class SlowProcess:
         return rows
 
     def _between(self, begin: int, end: int) -> Floats:
+        """Return knots begin ... end. The first knot of a chunk is the end of the one before, which need not be drawn
+        for it.
+        """
+        last = (end - 1) // KNOTS
         parts = []
-        for chunk in range(begin // KNOTS, (end - 1) // KNOTS + 1):
+        for chunk in range(begin // KNOTS, last + 1):
             start = chunk * KNOTS
-            parts.append(self._knots(chunk)[max(begin - start, 0) : end - start])
-        return np.concatenate(parts)
+            stop = end + 1 if chunk == last else start + KNOTS
+            parts.append(self._knots(chunk)[max(begin - start, 0) : stop - start])
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _remembered(self, chunk: int) -> Floats:
-        """Return the knots (KNOTS, 3) of one chunk."""
+        """Return the knots (KNOTS + 1, 3) of one chunk, including its end."""
         return np.asarray(self._inside.recall(("knots", self._recursion, chunk), lambda: self._drawn(chunk)), float)
 
     def _drawn(self, chunk: int) -> Floats:
-        """Return the knots (KNOTS, 3) of one chunk: drawn without regard to the end, then corrected to meet it."""
+        """Return the knots (KNOTS + 1, 3) of one chunk, drawn without regard to its end and corrected to meet it."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
         steps = self._draws.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
         steps[0] += phi * start
         free = first_order(steps, phi)
         inside = free + _bridge(self._decay)[:, None] * (end - free[-1])
-        knots: Floats = np.concatenate([start[None], inside[:-1]])
+        knots: Floats = np.concatenate([start[None], inside[:-1], end[None]])
         knots.flags.writeable = False
         return knots
 
@@ -150,10 +162,10 @@ def _bridge(decay: float) -> Floats:
 
 
 def gauss_markov(
-    time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT, number: int = 1
+    time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT, number: int = 0
 ) -> SlowProcess:
     """Return a stationary first-order Gauss-Markov process of rms `scale`: correlation exp(-|t| / time_constant).
-    Processes of an effect with different numbers have independent draws, so that they can be added.
+    `number` is 1, 2, ... for the processes of a sum, which have independent draws, and 0 for a single process.
     """
     return at.kept(
         ("gauss_markov", time_constant_s, effect, at.copy, shared_by, scale, number),
@@ -165,11 +177,12 @@ def _gauss_markov(
     time_constant_s: float, at: Place, effect: str, shared_by: str, scale: Triple, number: int
 ) -> SlowProcess:
     rows_per_constant = at.rows_per_s * time_constant_s
-    widest = min(max(1, math.floor(rows_per_constant / _PER_TIME_CONSTANT)), _WIDEST)
+    knots = _OF_A_SUM if number else _PER_TIME_CONSTANT
+    widest = min(max(1, math.floor(rows_per_constant / knots)), _WIDEST)
     spacing = 1 << (widest.bit_length() - 1)
     decay = spacing / rows_per_constant
-    inside = at.stream(effect, f"inside, number {number}", shared_by=shared_by, chunk_rows=KNOTS)
-    ends = at.stream(effect, f"ends, number {number}", shared_by=shared_by, chunk_rows=_ENDS)
+    inside = at.stream(effect, f"inside, number {max(number, 1)}", shared_by=shared_by, chunk_rows=KNOTS)
+    ends = at.stream(effect, f"ends, number {max(number, 1)}", shared_by=shared_by, chunk_rows=_ENDS)
     return SlowProcess(spacing, Recursion(decay, math.sqrt(-math.expm1(-2 * decay)), 1.0), inside, ends, scale)
 
 

@@ -73,18 +73,22 @@ def walk(at: Place) -> SlowProcess:
     return random_walk(at, "w")
 
 
-@pytest.mark.parametrize(("kind", "spacing"), [(gauss, 16), (walk, 10)])
+def part_of_flicker(at: Place) -> SlowProcess:
+    return gauss_markov(11.0, at, "b", number=1)
+
+
+@pytest.mark.parametrize(("kind", "spacing"), [(gauss, 16), (walk, 10), (part_of_flicker, 64)])
 def test_a_process_is_linear_between_knots(
     place: MakePlace, kind: Callable[[Place], SlowProcess], spacing: int
 ) -> None:
-    rows = kind(place(rows_per_s=100.0)).rows(0, 20_001)
-    at = np.arange(20_001)
+    rows = kind(place(rows_per_s=100.0)).rows(0, 19_201)
+    at = np.arange(19_201)
     for axis in rows.T:
         np.testing.assert_allclose(axis, np.interp(at, at[::spacing], axis[::spacing]), rtol=0, atol=1e-12)
     assert np.abs(np.diff(rows[::spacing], n=2, axis=0)).min() > 0  # every knot is a corner
 
 
-@pytest.mark.parametrize("kind", [gauss, walk])
+@pytest.mark.parametrize("kind", [gauss, walk, part_of_flicker])
 @pytest.mark.parametrize("rows_per_s", [4.0, 100.0])  # every row a knot; knots farther apart
 def test_a_block_alone_equals_that_in_sequence(
     place: MakePlace, kind: Callable[[Place], SlowProcess], rows_per_s: float

@@ -119,7 +119,7 @@ class BiasInstability(Effect):
             return analog
         value, times_s = analog.value, self.time_constants_s
         x, y, z = (size / math.sqrt(len(times_s)) for size in self.rms)
-        for number, time_s in enumerate(times_s, 1):
+        for number, time_s in enumerate(times_s, 1 if len(times_s) > 1 else 0):
             value = gauss_markov(time_s, at, self.name, scale=(x, y, z), number=number).added_to(value, analog.first)
         return replace(analog, value=value)
 
