@@ -143,9 +143,7 @@ def _refuse_two(name: str, names: Sequence[str], calibrations: Mapping[int, Sens
 
 
 def _changes(name: str, calibrations: Mapping[int, SensorCalibration]) -> Iterator[Change]:
-    """Yield every figure that at least two calibrations measured; its probability is not yet corrected for the
-    others.
-    """
+    """Yield every figure of at least two calibrations; its probability is not yet corrected for the others."""
     temperature = _temperature(calibrations)
     rows: dict[tuple[str, str, str], dict[int, tuple[float, float]]] = {}
     for number, sensor in calibrations.items():
@@ -179,9 +177,7 @@ def _changes(name: str, calibrations: Mapping[int, SensorCalibration]) -> Iterat
 
 
 def _temperature(calibrations: Mapping[int, SensorCalibration]) -> float | None:
-    """Return the temperature at which biases are compared: the mean temperature of the measurements, if all state
-    one.
-    """
+    """Return the temperature at which biases are compared: the mean of the measurements, if all state one."""
     of_biased = [sensor.temperature_degc for sensor in calibrations.values() if sensor.bias_sem_lsb is not None]
     temperatures = [degc for degc in of_biased if degc is not None]
     return float(np.mean(temperatures)) if temperatures and len(temperatures) == len(of_biased) else None

@@ -30,9 +30,7 @@ _ENOUGH = 8.0
 """Effective number of grid points under the likelihood; with fewer the grid is refined."""
 
 _RIDGE = 1e-12
-"""Relative ridge that keeps the normal equations of collinear regressors regular; the standard errors of their
-coefficients become very large.
-"""
+"""Relative ridge for the normal equations of collinear regressors, whose standard errors become very large."""
 
 _LOG_ODDS = (-4.0, 6.0)
 """Limits of the log odds of the white share: 0.02 to 0.998."""

@@ -119,9 +119,7 @@ def _exchanged_labels(readings: PoseReadings, wrong: Sequence[int] | Indices, tu
 _ALL_FACES = "z_up, x_up, y_up, x_down, y_down, z_down are required"
 
 LEANS_G = 0.01
-"""Least distance, in g, of a face's mean force from the straight line through the other faces at which the box leaned:
-0.6 degrees.
-"""
+"""Least distance in g of a face's mean force from the line through the others at which the box leaned: 0.6 degrees."""
 
 _HALFWAY = 0.8
 """Cosine of 37 degrees: largest angle between a measured axis and the configured one."""
@@ -245,9 +243,7 @@ def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
 
 
 def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> SensorCalibration:
-    """Return a gyroscope's calibration: the bias is the mean over all readings as in the paper's Table 4, the
-    g-sensitivity half differences.
-    """
+    """Return a gyroscope's calibration: bias as the mean reading (the paper's Table 4), g-sensitivity."""
     all_readings = read_poses([sensor], readings)
     variance = all_readings.variance_lsb2[0].sum(axis=0) / len(readings) ** 2
     variance = variance + fit.repeatability_lsb**2 / len(readings)
@@ -262,9 +258,7 @@ def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> 
 
 
 def leave_one_out_residual(sensor: SensorLog, faces: Sequence[Pose]) -> Floats:
-    """Return the length (k,) of an accelerometer's specific force less one g on each face, calibrated on the other
-    faces; nan where these are too few.
-    """
+    """Return the length (k,) of the specific force less 1 g on each face, calibrated on the others; nan if too few."""
     mean = read_poses([sensor], faces).mean_lsb[0]
     design = np.column_stack([np.array([pose.up_box for pose in faces], float), np.ones(len(faces))])
     residual = np.full(len(faces), np.nan)

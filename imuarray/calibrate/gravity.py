@@ -106,9 +106,7 @@ class Bundle:
         return np.asarray((1 - self.weight * variance).sum(axis=1))
 
     def covariance(self) -> Floats:
-        """Return the covariance (a p, a p) of all coefficients in the frame of `solve`, before the turn into the box
-        frame.
-        """
+        """Return the covariance (a p, a p) of all coefficients in the frame of `solve`, not of the box."""
         axes, p, _ = self.own.shape
         shared = self.shared.reshape(axes * p, -1)
         full = shared @ self.direction_covariance @ shared.T
@@ -149,9 +147,7 @@ def _tangents(up: Floats) -> Floats:
 
 
 def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """Return the change (a, p, 2k) of the axes with the directions, and the directions' information matrix (2k, 2k)
-    after elimination of the axes.
-    """
+    """Return the change (a, p, 2k) of axes with the directions, and the reduced information (2k, 2k) of directions."""
     axes, poses, _ = slopes.shape
     mixed = np.einsum("kp,ak,aki->apki", design, weight, slopes).reshape(axes, -1, 2 * poses)
     shared = own @ mixed
@@ -165,9 +161,7 @@ def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tup
 
 @dataclass(frozen=True)
 class BoxFrameFit:
-    """A bundle turned into the box frame: coefficients (a, p) with covariance (a p, a p), directions (k, 3) with
-    covariance (3 k, 3 k).
-    """
+    """A bundle in the box frame: coefficients (a, p), directions (k, 3), and covariances (a p, a p), (3 k, 3 k)."""
 
     coefficients: Floats
     covariance: Floats
@@ -240,9 +234,7 @@ def directions_of(readings: PoseReadings) -> Floats:
 
 
 def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
-    """Return the specific force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError if the poses do
-    not separate bias from scale.
-    """
+    """Return the force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError for too few attitudes."""
 
     def gravity(parameters: Floats) -> Floats:
         shape = np.zeros((3, 3))
@@ -261,9 +253,7 @@ FACE_COSINE = 0.97
 
 
 def faces_of(means_g: Floats) -> list[tuple[int, bool]]:
-    """Return for each pose (k, 3) the axis (0, 1, 2) along which gravity points, and whether it is positive; [] if a
-    pose is not on a face.
-    """
+    """Return for each pose (k, 3) the axis (0, 1, 2) along gravity and whether it is positive; [] if one is tilted."""
     directions = means_g / np.linalg.norm(means_g, axis=1, keepdims=True)
     axis = np.argmax(np.abs(directions), axis=1)
     component = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
@@ -284,9 +274,7 @@ def insufficient_poses(sensor: SensorLog, means_g: Floats | None = None) -> str:
 
 
 def _common(directions: Sequence[Floats]) -> Floats:
-    """Return the mean (3, k) of the sensors' directions (3, k), each aligned with it (Kabsch, Acta Cryst. A32, 1976, p.
-    922).
-    """
+    """Return the mean (3, k) of the sensors' aligned directions (3, k) (Kabsch, Acta Cryst. A32, 1976, p. 922)."""
     from scipy.spatial.transform import Rotation  # slow to import
 
     common = np.asarray(directions[0])

@@ -228,9 +228,7 @@ class Calibration:
     sources: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> SensorCalibration:
-        """Return the parameters of the sensor of this name; the CalibrationError for an unknown name lists the names
-        that exist.
-        """
+        """Return the parameters of this sensor; the CalibrationError for an unknown name lists the known ones."""
         if name not in self.sensors:
             names = ", ".join(self.sensors) or "no sensor"
             raise CalibrationError(f"no calibration of {name!r}; there is {names}{guess(name, self.sensors)}")
@@ -245,9 +243,7 @@ class Calibration:
         return Calibration(sensors, (*self.sources, *other.sources))
 
     def stamped(self, logs: Sequence[Log]) -> Calibration:
-        """Return this calibration with logs, software, epoch and bias temperature as the provenance of every measured
-        group that has none.
-        """
+        """Return a copy with logs, software, epoch and bias temperature for every group without provenance."""
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: Described) -> SensorCalibration:
@@ -287,9 +283,7 @@ class Calibration:
         return stored
 
     def scales(self, sensors: Iterable[Described]) -> dict[str, list[float]]:
-        """Return the counts per unit of each axis (3,) of those sensors that it contains, by name. CalibrationError if
-        it does not fit one of them.
-        """
+        """Return the counts per unit (3,) of the sensors in it, by name. CalibrationError if one does not fit."""
         known = (sensor for sensor in sensors if sensor.name in self.sensors)
         return {sensor.name: self.or_nominal(sensor).scale_lsb_per_unit.tolist() for sensor in known}
 
@@ -359,9 +353,7 @@ class Calibration:
 
 
 def nominal(sensor: Described) -> SensorCalibration:
-    """Return the calibration of a triad according to its data sheet and its configured axes; CalibrationError for a
-    sensor without a sensitivity.
-    """
+    """Return the calibration of a triad by its data sheet and axes; CalibrationError without a sensitivity."""
     if not sensor.is_triad:
         raise CalibrationError(f"{sensor.where}: measures {sensor.quantity}; only triads are calibrated")
     if sensor.sensitivity <= 0:

@@ -37,17 +37,13 @@ from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 from imuarray.units import INERTIAL, READABLE
 
 STRONG = 4.0
-"""Least scatter during a knock as a multiple of the scatter at rest; a weaker disturbance may be the noise of windows
-with few rows.
-"""
+"""Least scatter during a knock as a multiple of that at rest; less may be the noise of windows with few rows."""
 
 _SURE = 5.0
 """Least change of the attitude by a knock, in standard errors."""
 
 _LEAST_SHARE = 0.05
-"""Least change of the attitude by a knock, as a share of `SAME_POSE`: the noise may wander, and noise of less than a
-count is lost by rounding.
-"""
+"""Least change of the attitude by a knock, as a share of `SAME_POSE`: noise may wander or be lost by rounding."""
 
 LISTED = 5
 """Largest number of knocks that are listed with their times."""

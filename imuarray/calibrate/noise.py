@@ -133,9 +133,7 @@ class _Grid(NamedTuple):
         return float(self.times[int(profile.argmax())]), np.array(ends)
 
     def _joint(self) -> Floats:
-        """Return the log likelihood (t, u, k) of all axes, with the other axes at their maximum for the time
-        constant.
-        """
+        """Return the log likelihood (t, u, k) of all axes, the others at their maximum for the time constant."""
         best = self.log_likelihood.max(axis=1)
         of_others = best.sum(axis=1, keepdims=True) - best
         return np.asarray(self.log_likelihood + of_others[:, None, :])
@@ -205,9 +203,7 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
 
 
 _ENOUGH_SEGMENTS = 16
-"""Fewest segments from whose variances the standard error of the pooled variance is computed; with fewer, the formula
-for white noise is used.
-"""
+"""Fewest segments for the standard error of a pooled variance; with fewer, the formula for white noise is used."""
 
 
 @dataclass(frozen=True)
@@ -281,9 +277,7 @@ class _PooledSquares:
         return np.asarray(np.sqrt(self._squares / self.freedom))
 
     def rms_sem_lsb(self) -> Floats:
-        """Standard error of `rms_lsb`, from the scatter of the segments' variances, which needs no assumption on
-        correlation or distribution.
-        """
+        """Standard error of `rms_lsb` by the scatter of segment variances, without assumptions on the distribution."""
         variance = self._squares / self.freedom
         if self._segments < _ENOUGH_SEGMENTS:
             return np.asarray(np.sqrt(variance / (2 * self.freedom)))

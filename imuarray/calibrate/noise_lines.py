@@ -40,9 +40,7 @@ _NEAR = 3.0
 
 @dataclass
 class _Track:
-    """A line over successive windows: its frequencies, the sum of squared amplitudes times rows, and the rows in which
-    it is present.
-    """
+    """A line over successive windows: frequencies, sum of squared amplitudes times rows, and rows with the line."""
 
     frequencies_hz: list[float] = field(default_factory=list)
     squares: float = 0.0

@@ -136,9 +136,7 @@ def _pair(
 def cancelled(
     first: float, second: float, sem_first: float, sem_second: float
 ) -> tuple[float, float, float, float, float]:
-    """Return the half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left`
-    (see `OpposedSlopes`).
-    """
+    """Return the half difference of two slopes, its standard error, the reduction, and both p (see `OpposedSlopes`)."""
     from scipy.special import ndtr  # slow to import, and every logger imports this package
 
     half, sem = (first - second) / 2, float(np.hypot(sem_first, sem_second)) / 2

@@ -77,9 +77,7 @@ class Pose:
     log: Log | None = None
 
     def rows_of(self, sensor: SensorLog) -> tuple[SensorLog, slice]:
-        """Return the sensor of the same name in the pose's log, and its rows; CalibrationError if it is configured
-        differently there.
-        """
+        """Return the sensor of this name in the pose's log, and its rows; CalibrationError for another setting."""
         sensor_of_log = sensor if self.log is None else sensor_in(self.log, sensor)
         return sensor_of_log, sensor_of_log.between(self.phase.start_ns, self.phase.end_ns)
 
@@ -402,9 +400,7 @@ class PoseReadings:
         return PoseReadings(self.sensors, tuple(self.poses[place] for place in places), mean, variance, change, sem)
 
     def force_box_g(self) -> Floats:
-        """Return the specific force (s, k, 3) in g in the box frame by the data sheets' sensitivities, including the
-        biases.
-        """
+        """Return the specific force (s, k, 3) in g, box frame, by data-sheet sensitivities, with the biases."""
         turns = np.array([sensor.orientation / sensor.sensitivity for sensor in self.sensors])
         return np.asarray(np.einsum("sij,skj->ski", turns, self.mean_lsb))
 
@@ -496,9 +492,7 @@ def clock_of(stretches: Stretches) -> ReadingInterval:
 
 
 class SegmentReadings(NamedTuple):
-    """Valid readings of one block: counts (n, 3), the number of the segment that contains each, and whether there is a
-    gap before it.
-    """
+    """Valid readings of one block: counts (n, 3), the segment of each, and whether there is a gap before it."""
 
     counts: Floats
     segment: npt.NDArray[np.int64]

@@ -150,9 +150,7 @@ def best_split(points: Floats, warm: Floats) -> tuple[Floats, Booleans]:
 
 
 def _towards(lifted: Floats, members: Booleans) -> Floats:
-    """Return the direction (b, d + 1) that separates the groups: from one centre to the other, with the common slope
-    removed.
-    """
+    """Return the direction (b, d + 1) that separates the groups: between the centres, without the common slope."""
     sums = np.einsum("br,brd->bd", members, lifted)
     count, rows = members.sum(axis=1), members.shape[1]
     alone = count * (rows - count) / rows - sums[:, -1] ** 2
@@ -161,9 +159,7 @@ def _towards(lifted: Floats, members: Booleans) -> Floats:
 
 
 def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
-    """Return the share explained (b,) by the best cut along any of the directions (b, k, d + 1), and the members (b, r)
-    of its first group.
-    """
+    """Return the share explained (b,) by the best cut along any direction (b, k, d + 1), and its first group (b, r)."""
     draws, rows, _ = lifted.shape
     order = np.argsort(np.einsum("brd,bkd->bkr", lifted, directions), axis=2)
     sums = np.cumsum(lifted[np.arange(draws)[:, None, None], order], axis=2)

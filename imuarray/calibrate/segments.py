@@ -193,9 +193,7 @@ def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Temperatur
 def _read(
     kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: float, width_s: float
 ) -> TemperatureSeries:
-    """Return the segment means of a temperature column without values that are not finite; CalibrationError if there
-    are no others.
-    """
+    """Return the segment means of a temperature column's finite values; CalibrationError if there are none."""
 
     def values(rows: slice) -> Floats:
         return np.asarray(np.nan_to_num(np.asarray(column[rows], float), posinf=0.0, neginf=0.0)[:, None])

@@ -62,9 +62,7 @@ class Thermal:
         return self.lag_s if self.lag_interval_s is None or self.lag_interval_s[0] > 0 else 0.0
 
     def bias_change_lsb(self, to_degc: npt.ArrayLike, from_degc: float) -> Floats:
-        """Return the change of bias (3,) or (n, 3) in counts between two lagged temperatures; zero on an axis whose
-        slope may be one of scale.
-        """
+        """Return the bias change (3,) or (n, 3) in counts between lagged temperatures; 0 if the slope may be scale."""
         is_bias = np.array([meaning == BIAS for meaning in self.meaning], float)
         return is_bias * (self._counts(np.asarray(to_degc, float)) - self._counts(np.asarray(from_degc, float)))
 

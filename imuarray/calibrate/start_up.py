@@ -171,9 +171,7 @@ def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> 
 
 PARTS = 10
 _RESTLESS = 25.0
-"""Largest variance of the means of parts at rest, relative to that by white noise; a wandering bias has a ratio of up
-to five.
-"""
+"""Largest variance of the means of parts at rest over that by white noise; a wandering bias has up to five."""
 
 
 class StartUpVerdict(NamedTuple):
@@ -238,9 +236,7 @@ class StartStateDetector:
 
 
 def _restlessness(counts: npt.NDArray[Any]) -> float:
-    """Return the ratio of the variance of part means of counts (n, 3) to that due to white noise, for the worst
-    axis.
-    """
+    """Return the ratio of the variance of part means of counts (n, 3) to that by white noise, for the worst axis."""
     if len(counts) < 4 * PARTS:
         return 0.0
     length = len(counts) // PARTS

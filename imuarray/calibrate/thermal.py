@@ -70,9 +70,7 @@ _CORRELATION_TIMES = (0.5, 0.15, 0.05, 0.015)
 """Correlation times as shares of the log's length; together they have the prior probability of a random walk."""
 
 _SLOWEST = 8
-"""Fewest cosines of which the residuals scale a standard error: five or more degrees of freedom with three slow
-regressors.
-"""
+"""Fewest cosines whose residuals scale a standard error: five degrees of freedom beside three slow regressors."""
 
 _CONTRIBUTION = 0.8
 """Share of an estimate's variance in the cosines whose residuals scale its standard error."""
@@ -135,9 +133,7 @@ class SlowRegression:
         return profile, restricted
 
     def fits(self, share: Floats) -> list[SlowFit]:
-        """Return the fit of each design, under the expected noise if the designs have the probabilities `share`
-        (d,).
-        """
+        """Return the fit of each design, under the expected noise with the designs' probabilities `share` (d,)."""
         probable = weights(self._restricted + np.log(self._prior), axis=1)
         expected = share @ probable @ self._spectra
         return [_fit(self._series, design, expected) for design in self._designs]
@@ -331,9 +327,7 @@ def _determines_curvature(clock: Floats, warm: Floats) -> bool:
 
 
 def _peak(lags_s: Floats, likelihood: Floats) -> float:
-    """Return the most likely lag: the vertex of a parabola through the best lag of the grid and its neighbours, over
-    the logarithm of the lag.
-    """
+    """Return the most likely lag: the vertex of a parabola through the best lag and its neighbours, over log lag."""
     best = int(likelihood.argmax())
     if best <= 1 or best == len(lags_s) - 1:
         return float(lags_s[best])
@@ -351,9 +345,7 @@ orientations that separate bias from scale."""
 _FEWEST_SEGMENTS = 20
 
 MOST_SEM_PER_DEGC: Mapping[str, float] = MappingProxyType({"specific_force": 0.01, "angular_rate": 0.5})
-"""Largest standard error of a measured slope, per degC, by quantity in its unit: ten times the slope in the data sheets
-(ADX-62, BMA-115, L3G-71).
-"""
+"""Largest standard error of a measured slope, per degC, in its unit: 10 data-sheet slopes (ADX-62, BMA-115, L3G-71)."""
 _IMPRECISE = (
     "these logs determine the slope of axis {axis} only to {sem} {unit}/degC; other changes, such as drift, are larger"
 )
@@ -386,9 +378,7 @@ class ThermalResult:
     pairs: tuple[OpposedSlopes, ...]
 
     def plot(self) -> Figure:
-        """Plot the slope of every axis with two standard errors, in mg or dps per degree; MissingExtraError without
-        matplotlib.
-        """
+        """Plot all slopes with two standard errors, in mg or dps per degC; MissingExtraError without matplotlib."""
         return self.calibration.plot("thermal")
 
     def __repr__(self) -> str:

@@ -108,9 +108,7 @@ class TurnOnSeries(NamedTuple):
     results: tuple[TurnOnResult, ...]
 
     def plot(self) -> Figure:
-        """Plot the change of the bias from run to run of every axis with two standard errors, in mg or dps;
-        MissingExtraError without matplotlib.
-        """
+        """Plot bias changes by run with two standard errors, mg or dps; MissingExtraError without matplotlib."""
         return self.calibration.plot("turn_on")
 
     def __repr__(self) -> str:

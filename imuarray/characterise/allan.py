@@ -80,9 +80,7 @@ def running_sum(values: Values) -> Floats:
 
 
 def compact_running_sum(values: CountColumn) -> Values:
-    """Return the `running_sum` of counts of two bytes or fewer, read block by block: as int32, which halves its memory,
-    where it stays below 2^31.
-    """
+    """Return the `running_sum` of counts of at most two bytes, block by block, as int32 where it stays below 2^31."""
     reference, phase, total = values[:1][0], np.zeros(len(values) + 1, np.int32), 0.0
     work = np.empty(min(_BLOCK, len(values)))
     for start in range(0, len(values), _BLOCK):
@@ -139,9 +137,7 @@ def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> 
 
 
 def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distances: Sequence[int]) -> list[float]:
-    """Return the same sums for a series with gaps: over the ends e with a `place` (n + 1,) in their run of 2m or
-    more.
-    """
+    """Return the same sums for a series with gaps: over ends e with `place` (n + 1,) >= 2m in their run."""
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
     for start in range(0, len(phase), _BLOCK):
@@ -157,9 +153,7 @@ def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distance
 
 
 def _second_differences(phase: Values, m: int, start: int, stop: int, work: Floats) -> Floats:
-    """Return the second differences that end from `start` to `stop`; at a short distance each first difference serves
-    twice.
-    """
+    """Return the second differences that end from `start` to `stop`; at short distance two use one first difference."""
     count = stop - start
     block, middle = work[0, :count], phase[start - m : stop - m]
     if 4 * m <= count:

@@ -54,18 +54,14 @@ _FINE = 12
 """Lags per averaging factor near the kinks of r; twice as many change a correlation by less than 0.003."""
 
 _FAR = 12.0
-"""Multiple of the longer factor beyond which r of flicker noise is computed from its fourth derivative, which has a
-smaller rounding error.
-"""
+"""Multiple of the longer factor beyond which flicker's r is computed from its fourth derivative, more exactly."""
 
 _WIDER = 1.06
 """Ratio of neighbouring lags far from the kinks."""
 
 
 _MOST_LENGTHS = 24
-"""Largest number of lengths of runs for which covariances are computed: a log of a night with stalls has hundreds of
-lengths, most of them short.
-"""
+"""Largest number of run lengths whose covariances are computed: a night with stalls has hundreds, mostly short."""
 
 
 def merge_similar(runs: Runs) -> Runs:
@@ -206,9 +202,7 @@ _LEAST_SIZE = 1e-3
 _WHITE = TERMS.index("white")
 
 _LEAST_KURTOSIS = -1.5
-"""Least excess kurtosis that is used. Readings with only two codes have -2, for which the computed error of the
-variance would be 0.
-"""
+"""Least excess kurtosis that is used; with only two codes it is -2, and the error of the variance would be 0."""
 
 _TURNS = 30
 _TURNS_OF_BOUND = 3
@@ -274,9 +268,7 @@ class AllanEstimate:
         return decorrelated / spread
 
     def solution(self, terms: Sequence[int]) -> AllanSolution:
-        """Return the squared coefficients of `terms`, alternately fitted and weighted; computed once for each set of
-        terms.
-        """
+        """Return the squared coefficients of `terms`, alternately fitted and weighted, once for each set."""
         key = tuple(terms)
         if key not in self._solutions:
             self._solutions[key] = _solve(self, terms)
@@ -313,9 +305,7 @@ class AllanEstimate:
 
 @dataclass(frozen=True)
 class AllanSolution:
-    """Squared coefficients (5,) by `TERMS`, their misfit, and the whitened design (t, 5) and whitened variances (t,)
-    that they were fitted to.
-    """
+    """Squared coefficients (5,) by `TERMS`, misfit, whitened design (t, 5) and whitened variances (t,) of the fit."""
 
     theta: Floats
     misfit: float
@@ -324,9 +314,7 @@ class AllanSolution:
 
 
 def needed(estimate: AllanEstimate, fitted_terms: Sequence[int]) -> list[int]:
-    """Return the terms that are needed: each is tested against the best fit without it, with the weights of that
-    fit.
-    """
+    """Return the needed terms; each is tested against the best fit without it, with that fit's weights."""
     terms = list(fitted_terms)
     while len(terms) > 1:
         gains = {term: _gain(estimate, terms, term) for term in terms}

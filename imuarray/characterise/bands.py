@@ -36,9 +36,7 @@ _LOWEST = 2
 
 _LEAST_SIDE = 4
 _SIDE = 2
-"""The width of a side in boxes. A side begins half a box away from the box, because a line as wide as the box also has
-some power beyond it.
-"""
+"""Width of a side in boxes; it begins half a box away, because a line as wide as the box extends beyond it."""
 
 _SHARED = 1.94
 """Number of bins with the information of one independent bin: Hann-windowed neighbours correlate by 4/9 and 1/36 in
@@ -62,9 +60,7 @@ class Band(SpectralLine):
 
 @dataclass(frozen=True)
 class _Box:
-    """Indices [first, stop), the density of the floor near them, and the probability that noise is this high in any of
-    the boxes.
-    """
+    """Indices [first, stop), the density of the floor near them, and the probability of such noise in any box."""
 
     first: int
     stop: int

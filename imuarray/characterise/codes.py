@@ -24,9 +24,7 @@ from imuarray.arrays import Integers
 from imuarray.log import SensorLog
 
 RARE = 1e-3
-"""Share of the readings, those with the rarest codes, that is ignored for the usual step, because a glitch may produce
-any code.
-"""
+"""Share of the readings, those with the rarest codes, ignored for the usual step: a glitch may produce any code."""
 
 NARROW = 2.0
 """Least spread in steps for tests of even codes and of the ends: for Gaussian noise with this spread the shares of even
@@ -58,9 +56,7 @@ NOTHING = Histogram(np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
 def histogram(values: npt.NDArray[np.integer]) -> Histogram:
-    """Return the histogram of whole numbers (n,); the histograms of blocks are merged, so that memory grows with the
-    number of codes only.
-    """
+    """Return the histogram of whole numbers (n,), merged from blocks; memory grows with the number of codes only."""
     if len(values) == 0:
         return NOTHING
     low, high = int(values.min()), int(values.max())
@@ -73,9 +69,7 @@ def histogram(values: npt.NDArray[np.integer]) -> Histogram:
 
 
 def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
-    """Return the histogram of each row of (k, n), all counted at once unless the range of the codes is much larger than
-    n.
-    """
+    """Return the histogram of each row of (k, n), counted at once unless the range of codes is much above n."""
     if values.shape[1] == 0:
         return [NOTHING] * len(values)
     low = values.min(axis=1)
@@ -147,9 +141,7 @@ class CodeDensity:
 
 
 def code_density(distribution: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
-    """Return the statistics of a histogram of codes; `span` is the lowest and the highest code of the converter.
-    ValueError without readings.
-    """
+    """Return the statistics of a histogram of codes; `span` are the converter's end codes. ValueError if empty."""
     readings = int(distribution.counts.sum())
     if readings == 0:
         raise ValueError("a histogram needs readings")

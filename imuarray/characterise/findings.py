@@ -127,9 +127,7 @@ def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
 
 
 def shares_times(kind: str, usual_s: float) -> bool:
-    """Return whether rows that arrive in bursts, usually `usual_s` apart, have the same times: the clock is coarse, and
-    the host was not late.
-    """
+    """Return whether rows in bursts, usually `usual_s` apart, have equal times because the clock is coarse."""
     return kind == "bursts" and usual_s < _SHARED_S
 
 
@@ -232,9 +230,7 @@ def _code_span(gap: Mapping[str, Any]) -> str:
 
 
 def _slow_change(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
-    """Describe axes with a variance larger than that of their spectrum, from which the mean of each segment is
-    removed.
-    """
+    """Describe axes with a variance larger than that of their spectrum, which lacks segment means."""
     spectrum = sensor["spectrum"]
     if spectrum is None or spectrum["segments"] < _LEAST_SEGMENTS or len(spectrum["frequency_hz"]) < 2:
         return
@@ -286,9 +282,7 @@ class _AxisLine:
     line: Mapping[str, Any]
 
     def matches(self, other: _AxisLine) -> bool:
-        """Return whether both can be the same disturbance: equal in unit and, within resolution and width, in
-        frequency.
-        """
+        """Return whether both can be the same disturbance: equal in unit and, within resolution, in frequency."""
         if self.unit != other.unit or (self.line["fundamental_hz"] is None) != (other.line["fundamental_hz"] is None):
             return False
         widths = [line["width_hz"] for line in (self.line, other.line)]

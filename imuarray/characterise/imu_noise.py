@@ -84,9 +84,7 @@ def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> Triad
     """
 
     def largest(term: str, part: str) -> float | None:
-        """Return the largest coefficient of the axes: of the detected values, or of the upper limits if none is
-        detected.
-        """
+        """Return the largest coefficient of the axes: of detected values, or of upper limits if there are none."""
         terms = [item for axis in axes if (item := axis["terms"].get(term))]
         values = [item[part] for item in terms if part != "value" or item["significant"]]
         return max(values) * si_per_count if values else None

@@ -201,9 +201,7 @@ def _median(height: Floats, first: Indices, side: Indices) -> Floats:
 
 
 def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
-    """Means (b,) of the neighbours of each of all `bins` up to the last, over half the width of the sides of the
-    floor.
-    """
+    """Means (b,) of the neighbours of each of all `bins`, over half the width of the floor's sides."""
     half = np.minimum(_sides(bins, last) // 2, bins - bins[0])
     sums = np.concatenate([[0.0], np.cumsum(np.concatenate([height, height[-2 : -2 - _SIDE : -1]]))])
     at = bins - bins[0]
@@ -243,9 +241,7 @@ def _share_of_one(side: int) -> float:
 
 
 def _thinned(rest: Floats, freedom: float, floor_freedom: float) -> float:
-    """Return the factor by which the scatter of the log ratios (b,) reduces the degrees of freedom; 1 within three
-    standard errors.
-    """
+    """Return the factor by which scatter of log ratios (b,) reduces degrees of freedom; 1 within three sigmas."""
     expected = float(np.diff(np.log(fdtri(freedom, floor_freedom, _EXTREMES)))[0])
     spread = float(np.diff(np.quantile(rest, _EXTREMES))[0])
     limit = expected * (1 + 3 * np.sqrt(1.62 / len(rest)))
@@ -342,16 +338,12 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
 
 
 def _mirrored(density: Floats) -> Floats:
-    """Return the density (m + 1,) and one bin beyond half the rate; the bin at half the rate is doubled, because it has
-    no negative frequency.
-    """
+    """Return the density (m + 1,) and a bin beyond half the rate, whose bin is doubled (no negative frequency)."""
     return np.concatenate([density[:-1], 2 * density[-1:], density[-2:-1]])
 
 
 def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int]:
-    """Return which of the `bins` (b,) are peaks above the level (b,), strongest first, without those that are leakage
-    of a stronger one.
-    """
+    """Return which `bins` (b,) are peaks above the level (b,), strongest first, without leakage of stronger ones."""
     heights = power[bins]
     limit = np.concatenate([level[:-1], 2 * level[-1:]])
     tops = np.flatnonzero((heights > limit) & (heights >= power[bins - 1]) & (heights >= power[bins + 1]))
@@ -389,9 +381,7 @@ def _reflected(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
 
 
 def _leakage(bins_away: npt.NDArray[np.intp]) -> Floats:
-    """Return the largest power (b,) that a line can have at this distance in bins from its peak, relative to the peak;
-    inf next to the peak.
-    """
+    """Return the largest power (b,) of a line at this distance in bins from its peak, relative to it; inf beside it."""
     distance = np.maximum(bins_away, _APART) - 0.5
     share = (np.pi * distance * (distance**2 - 1)) ** -2.0 / _lobe(0.5)
     return np.asarray(np.where(bins_away < _APART, inf, share))

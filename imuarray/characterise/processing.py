@@ -32,9 +32,7 @@ _AT_REST = 2.5
 """Factor over the scatter of the quietest window up to which windows are evaluated for noise."""
 
 _REST_WINDOWS = 3
-"""Number of consecutive windows at rest in which resampling is detected more reliably than in all rows, which motion
-disturbs.
-"""
+"""Number of consecutive windows at rest that show resampling more reliably than all rows, which motion disturbs."""
 
 _LEAST_MOTION = {"g": 0.03, "dps": 1.0, "gauss": 0.02}
 """Scatter of a window, by unit, above which the box moves. The spectrum of motion falls like that of a filter."""
@@ -48,9 +46,7 @@ CHIP_ORDER = 3
 """Highest order of the filters that chips have after their converters (ICM-42688-P: first to third)."""
 
 _BEYOND_ORDER = 0.5
-"""Factor, applied to the density that a filter of `CHIP_ORDER` leaves one octave above its cutoff; a filter that leaves
-less is steeper.
-"""
+"""Factor on the density that a filter of `CHIP_ORDER` leaves one octave above its cutoff; less is steeper."""
 
 _LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
 """Frequency bands that are compared, relative to half the rate."""
@@ -137,9 +133,7 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
 
 
 def _middle_rows(sensor: SensorLog) -> tuple[Floats, Booleans, float]:
-    """Return the counts (n, 3) of the middle of a recording, which rows (n,) are flagged as saturated (their codes
-    repeat), and the rate.
-    """
+    """Return the middle counts (n, 3) of a recording, which rows (n,) are saturated (codes repeat), and the rate."""
     count = min(len(sensor), _MOST_ROWS)
     first = (len(sensor) - count) // 2
     rows = slice(first, first + count)
@@ -176,9 +170,7 @@ _LEAST_CHANGES = 0.02
 
 
 def _windows(values: Floats, most: float, clipped: Booleans) -> Floats:
-    """Return the windows at rest (w, rows, 3) without `clipped` rows (n,): the quietest, which scatter by less than
-    `most`.
-    """
+    """Return the quietest windows (w, rows, 3) without `clipped` rows (n,), which scatter by less than `most`."""
     windows, is_still = _still_windows(values, most)
     is_clipped = clipped[: len(windows) * _WINDOW_ROWS].reshape(len(windows), _WINDOW_ROWS).any(axis=1)
     return np.asarray(windows[is_still & ~is_clipped])
@@ -211,9 +203,7 @@ def _densities(windows: Floats) -> Floats:
 
 
 class _LowPass(NamedTuple):
-    """A low-pass: the frequency above which noise is missing. `is_steep`: an octave above it, less remains than a
-    chip's filter leaves.
-    """
+    """A low-pass: frequency above which noise is missing; `is_steep` if less remains an octave above than of a chip."""
 
     cutoff_hz: float
     is_steep: bool
@@ -287,9 +277,7 @@ _FEWEST_BENDS = 200
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Interpolated rows: the `share` of the rows that are on the line between their neighbours, and the readings per
-    second.
-    """
+    """Interpolated rows: the `share` of the rows on the line between their neighbours, and the readings per second."""
 
     share: float
     rate_hz: float

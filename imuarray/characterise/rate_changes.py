@@ -18,9 +18,7 @@ from imuarray.arrays import Floats, Indices
 from imuarray.log import SensorLog
 
 PIECE_ROWS = 64
-"""Fewest rows in a piece: its mean interval is then known to 7 % even for a program that sleeps for a uniformly
-distributed time between its readings.
-"""
+"""Fewest rows in a piece: its mean interval is then known to 7 % even with uniformly distributed sleeps."""
 
 PIECES = 512
 """Largest number of pieces, which limits the memory."""

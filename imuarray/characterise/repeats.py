@@ -31,9 +31,7 @@ STALE_SHARE = 0.015
 THRESHOLD_DPS = 100.0
 LEAST_STALLS = 3
 LEAST_SHARE = 0.5
-"""Fewest stalls (`LEAST_STALLS`), and least share of the passages with a stall, that are reported: equal rows also
-occur by chance.
-"""
+"""Fewest stalls (`LEAST_STALLS`) and their least share of passages for a report; equal rows also occur by chance."""
 
 _BLOCK_ROWS = 4096
 
@@ -155,9 +153,7 @@ def _equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Stalls:
-    """Numbers of passages of an axis through 100 dps from one row to the next, and of those before which the reading
-    was frozen.
-    """
+    """Numbers of passages of an axis through 100 dps from row to row, and of those that follow a frozen reading."""
 
     passages: int
     stalled: int

@@ -89,9 +89,7 @@ def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
 
 
 def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | None:
-    """Return white noise, flicker and random walk of the Allan curve; None for a curve from which none can be
-    determined.
-    """
+    """Return white noise, flicker and random walk of the Allan curve; None if none can be determined."""
     if survey.curve is None:
         return None
     shortest_s = FILTER_TIMES / (2 * math.pi * sensor.bandwidth_hz) if sensor.bandwidth_hz > 0 else 0.0
@@ -110,9 +108,7 @@ SLOW_FALSE_ALARM = 1e-3
 
 
 def find_slow_lines(spectrum: Spectrum, below_hz: float, column: int = 0) -> tuple[SpectralLine, ...]:
-    """Return the narrow lines in one column of a spectrum with long segments, below the frequency at which the search
-    in shorter ones begins.
-    """
+    """Return the narrow lines of one column in long segments, below the frequency of the search in shorter ones."""
     lines = find_lines(spectrum, column, SLOW_FALSE_ALARM).lines
     return tuple(line for line in lines if line.frequency_hz < below_hz)
 
@@ -142,9 +138,7 @@ def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
 
 
 def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
-    """Return the lines, each with the `fundamental_hz` that it is a multiple of; None for a line that is not a
-    harmonic.
-    """
+    """Return the lines, each with the `fundamental_hz` that it is a multiple of, None if it is none."""
     for line in lines:
         line["fundamental_hz"] = None
         for other in sorted(lines, key=lambda line: line["frequency_hz"]):

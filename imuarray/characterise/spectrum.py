@@ -97,9 +97,7 @@ class Welch:
         self._run_segments = 0
 
     def update(self, values: Values) -> None:
-        """Add the next rows of the run, (n,) or (n, k); ValueError for another number of columns, or values that are
-        not finite.
-        """
+        """Add the next rows of the run, (n,) or (n, k); ValueError for other columns or infinite values."""
         rows = values[:, np.newaxis] if values.ndim == 1 else values
         if rows.shape[1] != len(self._line):
             raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are required")
@@ -235,9 +233,7 @@ def _hann(rows: int) -> Floats:
 
 @lru_cache(maxsize=16)
 def _sides(bins: int) -> Floats:
-    """Return the factors of a one-sided density: 2, but 1 at 0 and at half the rate, which have no negative
-    frequency.
-    """
+    """Return the factors of a one-sided density: 2, but 1 at 0 and at half the rate, without a negative frequency."""
     return np.array([1.0, *[2.0] * (bins - 2), 1.0])
 
 

@@ -160,9 +160,7 @@ def _intervals(sensor: SensorLog, part: slice) -> npt.NDArray[np.int64]:
 
 
 def broken_rows(status: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
-    """Return for each of (n,) flags whether the row does not continue the one before; for the first row by its own
-    flags only.
-    """
+    """Return for (n,) flags whether the row does not continue the one before; the first by its own flags."""
     doubt = (status & SUSPECT) != 0
     broken: npt.NDArray[np.bool_] = ((status & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt
     broken[1:] |= doubt[:-1]

@@ -179,9 +179,7 @@ class IntervalTally:
             counts[first : first + len(occupied)] += occupied
 
     def _alternation(self, variance: float) -> float:
-        """Return a^2 in ns^2; 0 if it is not significant. Each covariance has a standard error of variance /
-        sqrt(n).
-        """
+        """Return a^2 in ns^2; 0 if not significant. Each covariance has a standard error of variance / sqrt(n)."""
         (pairs, second), (others, third) = self._products.tolist()
         if others == 0:
             return 0.0
@@ -196,9 +194,7 @@ def _weighted_sum(counts: Times, values: Floats) -> float:
 
 
 def _quantile(values: Floats, counts: Times, share: float) -> float:
-    """Return a quantile of `values` (b,), ascending, that occur `counts` (b,) times: the least one with `share` of all
-    values up to it.
-    """
+    """Return a quantile of ascending `values` (b,) that occur `counts` (b,) times: the least one with this `share`."""
     total = np.cumsum(counts)
     return float(values[np.searchsorted(total, share * total[-1])])
 
@@ -207,9 +203,7 @@ MIN_ROWS = LEAST_RUN
 """Fewest rows of a run with an Allan deviation: two octaves."""
 
 EXACT_ROWS = 4_000_000
-"""Largest number of rows with the overlapping estimator by default: it holds one column's running sum, 4 bytes per row,
-or 8 if the counts drift far.
-"""
+"""Largest number of rows with the overlapping estimator by default: it holds a running sum of 4 or 8 bytes a row."""
 
 LAGS = 50
 

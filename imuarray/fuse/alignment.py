@@ -117,9 +117,7 @@ _TIE = 0.001
 
 @dataclass(frozen=True)
 class FrameGrid:
-    """Times of frames: `order` are the numbers of the sensors that determine the times, the best first; `period_ns` is
-    the time between frames.
-    """
+    """Frame times: `order` are the numbers of the sensors that set them, the best first; `period_ns` is the spacing."""
 
     order: tuple[int, ...]
     period_ns: float
@@ -142,9 +140,7 @@ class FrameGrid:
         return kept
 
     def _pauses(self, kept: Times) -> tuple[Times, Times]:
-        """Return begin and end (p,) of the pauses of `kept`; the time before its first row and after its last row
-        counts as a pause.
-        """
+        """Return begin and end (p,) of the pauses of `kept`, with the time before its first and after its last row."""
         edges = np.concatenate([[-FOREVER_NS // 2], kept, [FOREVER_NS // 2]])  # half, so that differences fit int64
         pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
         return edges[pauses], edges[pauses + 1]
@@ -189,9 +185,7 @@ def _first_equal(times: Sequence[Times]) -> list[int]:
 
 
 def _period_ns(time: Times) -> float:
-    """Return the median period over two rows: in frames that are read in alternating order, a sensor is alternately
-    early and late.
-    """
+    """Return the median period over two rows, because alternating order makes a sensor early and late in turn."""
     return float(np.median(time[2:] - time[:-2])) / 2
 
 
@@ -417,9 +411,7 @@ def _bias(unit: AlignedSensor, time: Times) -> Floats:
 def _clipped(
     unit: AlignedSensor, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]
 ) -> npt.NDArray[np.int8] | None:
-    """Return the end of the range (n, 3), +1 or -1, of the clipped axes of triads flagged as saturated, 0 elsewhere;
-    None if no triad is flagged.
-    """
+    """Return +1 or -1 (n, 3) for axes of saturated triads clipped at that end, 0 elsewhere; None without any."""
     flagged = (status & SATURATED) != 0
     if not flagged.any():
         return None

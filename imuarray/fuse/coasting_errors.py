@@ -112,9 +112,7 @@ def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_
 
 
 class _FrameBuffer:
-    """The part of a stream of frames that is in memory; the stream begins at `start_ns` and has a frame every
-    `period_s`.
-    """
+    """The part of a stream of frames that is in memory; it begins at `start_ns` and has a frame every `period_s`."""
 
     def __init__(self, blocks: Iterable[Errors]) -> None:
         self._blocks = iter(blocks)
@@ -157,9 +155,7 @@ class _FrameBuffer:
 def propagate(
     errors: Errors, rate_offset: Floats | float = 0.0, force_offset: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Integrate errors less their offsets. Returns the final tilt (3,) in rad and velocity (3,) in m/s, in the box
-    frame of the first frame.
-    """
+    """Integrate errors less offsets to the final tilt (3,) in rad and velocity (3,) in m/s, in the first frame."""
     seconds = (errors.time - errors.time[0]) * 1e-9
     turned = _attitudes(seconds, errors.rate).apply if errors.rate.any() else np.asarray
     tilt_rate = turned(errors.rate_error - rate_offset)

@@ -73,9 +73,7 @@ class Score:
 
 @dataclass(frozen=True)
 class TechniqueComparison:
-    """The scores of all techniques, and their errors of heading and velocity (empty unless both quantities are
-    fused).
-    """
+    """The scores of all techniques, and their errors of heading and velocity (empty unless both are fused)."""
 
     scores: tuple[Score, ...]
     coasting: Mapping[str, Coasting]
@@ -129,9 +127,7 @@ def compare(
 
 
 class _OtherProcess:
-    """The frames of one technique, computed by a process of an executor and exchanged in a folder; a context
-    manager.
-    """
+    """The frames of one technique, computed by a process of an executor, exchanged in a folder; a context manager."""
 
     def __init__(
         self, executor: Executor, log: Log, calibration: Calibration, technique: str, only: Collection[str]
@@ -257,9 +253,7 @@ def _have_the_same_times(first: ErrorFrameSource, second: ErrorFrameSource) -> b
 
 
 def _squares_of(technique: str, quantity: str, average_errors: RowSource, technique_errors: RowSource) -> Floats:
-    """Return the sums (b, 6) of squared errors before and after in consecutive stretches; FusionError for too few
-    errors.
-    """
+    """Return the sums (b, 6) of squared errors before and after in successive stretches; FusionError if too few."""
     count = min(BLOCKS, len(technique_errors) // 2)
     if count < FEWEST_BLOCKS:
         counts_text = f"{len(technique_errors)} values of {quantity} with a truth"

@@ -92,9 +92,7 @@ def nearest_readings(
 
 
 def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
-    """Return the `consensus` (3, n) of valid `values` (m, n) along `rows` (m, 3); `gain` (3, m) is that of least
-    squares. None without compiled code.
-    """
+    """Return `consensus` (3, n) of valid `values` (m, n); `gain` (3, m) is of least squares. None if not compiled."""
     if not COMPILED or len(rows) > _MOST_AXES or len(rows) % 3:
         return None
     inverse = np.linalg.inv(rows.reshape(-1, 3, 3))

@@ -189,9 +189,7 @@ def mismatch_sentences(calibration: Calibration, mismatches: Mapping[str, Temper
 
 
 BAROMETER_S = 15.0
-"""Age in s of the barometer's rows that a frame uses: a recording releases them only after later checks of the chip,
-and frames do not wait for that.
-"""
+"""Age in s of the barometer's rows that a frame uses; a recording releases rows only after later checks of the chip."""
 
 TREND_S = 20.0
 """Time in s over which the trend is fitted: short compared with the minutes of a heating; extrapolation by 20 s

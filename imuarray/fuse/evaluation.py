@@ -69,14 +69,10 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
 
 
 class ErrorEvaluation:
-    """Errors of several results with respect to `/truth` (or `/reference`), block by block, stored on disk. A context
-    manager.
-    """
+    """Errors of several results with respect to `/truth` (or `/reference`), stored on disk; a context manager."""
 
     def __init__(self, log: Log, phases: Iterable[Phase] = ()) -> None:
-        """Evaluate frames inside `phases` (empty: all frames). FusionError if the log has neither truth nor
-        reference.
-        """
+        """Evaluate frames in `phases` (empty: all frames). FusionError if the log has neither truth nor reference."""
         self._track = _track_of(log)
         self._stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
         self._stack = ExitStack()
@@ -105,9 +101,7 @@ class ErrorEvaluation:
 
 
 def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
-    """Return the scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity; it needs no
-    truth.
-    """
+    """Return the scatter (3,) in SI from frame to frame where a result is quietest, by quantity; needs no truth."""
     noise = QuietNoise()
     for block in blocks:
         noise.add(block)
@@ -173,9 +167,7 @@ class MotionErrors:
 
 @dataclass(frozen=True)
 class ErrorFrames(MotionErrors):
-    """`MotionErrors` with the covariance (n, 6) that the fused result states (`frames.ENTRIES`; NaN if it states
-    none).
-    """
+    """`MotionErrors` with the covariance (n, 6) that the result states (`frames.ENTRIES`; NaN if it states none)."""
 
     covariances: Floats
 
@@ -187,9 +179,7 @@ class ErrorFrames(MotionErrors):
 def errors_of(
     log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
 ) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
-    """Return time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError without a
-    truth.
-    """
+    """Return time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError if no truth."""
     result = error_frames(log, blocks, phases)
     return {quantity: (frames.time, frames.errors) for quantity, frames in result.items()}
 
@@ -327,9 +317,7 @@ def error_of(rows: RowSource) -> Error:
 
 
 class MotionSpool:
-    """Time (n,) in ns and true triad (n, 3) of frames in temporary files, or in files whose names begin with a path. A
-    context manager.
-    """
+    """Time (n,) in ns and true triad (n, 3) of frames in temporary files, or in named files. A context manager."""
 
     def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
         self._time, self._truth = (RowSpool(k, _named(path, name), mode) for name, k in (("time", 1), ("truth", 3)))

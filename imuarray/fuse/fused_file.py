@@ -90,9 +90,7 @@ def read_fused_head(path: str | PathLike[str]) -> FusedHead:
 
 
 def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
-    """Yield the blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for a damaged or hostile
-    file.
-    """
+    """Yield a file that `write_fused` wrote in blocks of `block` frames; LogError for a damaged or hostile file."""
     with fused_columns(path) as (_, columns):
         frames = rows_of(columns)
         for start in range(0, frames, block):
@@ -206,9 +204,7 @@ _CHUNK = 16
 
 
 class FusedEvent(NamedTuple):
-    """One event of a sensor: `kind` of fault and `state` ("isolated", "readmitted", ...) as in `FaultEvent`, and the
-    `message` for the user.
-    """
+    """One event of a sensor: `kind` of fault and `state` ("isolated", ...) as in `FaultEvent`, and a `message`."""
 
     time_ns: int
     sensor: str
@@ -312,9 +308,7 @@ COVARIANCE, USED = "_covariance", "_used"
 
 
 class FusedOrigin(TypedDict):
-    """Origin of a fused result: the `epoch` of its times, the `technique`, the paths of `log` and `calibration` ("" or
-    missing: data-sheet values).
-    """
+    """Origin of a fused result: `epoch`, `technique`, paths of `log` and `calibration` ("" or missing: data sheets)."""
 
     epoch: str
     technique: str

@@ -94,9 +94,7 @@ class FusedResult:
         return np.full_like(self._triad(quantity), np.nan) if covariance is None else np.sqrt(covariance[:, :3])
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> int:
-        """Write a fused file, as `imuarray fuse -o` does, and return the number of frames. OutputExistsError,
-        OutputError.
-        """
+        """Write a fused fileas `imuarray fuse -o`, and return the frame count. OutputExistsError, OutputError."""
         return write_fused(
             path,
             [self.frames],
@@ -110,9 +108,7 @@ class FusedResult:
         )
 
     def to_xarray(self) -> Any:
-        """Return an `xarray.Dataset` over time: triads, covariances and the sensors used; MissingExtraError without
-        xarray.
-        """
+        """Return an `xarray.Dataset` over time: triads, covariances, sensors used; MissingExtraError without xarray."""
         variables: dict[str, Any] = {}
         for quantity, triad in self.frames.triads.items():
             variables[quantity] = ("time", BOX_AXIS), triad, {"units": UNITS[quantity]}

@@ -144,9 +144,7 @@ _LARGE_CHANGE = 2 * RESPONSE_CHANGE
 
 
 def _large_changes(calibration: Calibration, before: Calibration) -> dict[float, list[str]]:
-    """Return the names of sensors by the change of their responses, for changes that are large and that `before` does
-    not state.
-    """
+    """Return the names of sensors by their change of response, if it is large and `before` does not state it."""
     names: dict[float, list[str]] = {}
     for name, sensor in calibration.sensors.items():
         change = sensor.response_change
@@ -178,9 +176,7 @@ def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:
 
 
 def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str], calibration_file: str) -> None:
-    """Raise FusionError if a calibration, from the named file, contains none of the inertial sensors of `log` (`only`
-    these).
-    """
+    """Raise FusionError if the calibration of this file has none of the inertial sensors of `log` (`only` these)."""
     fused = [sensor.name for sensor in _inertial(log, only)]
     if fused and not calibration.sensors.keys() & set(fused):
         raise FusionError(
@@ -192,9 +188,7 @@ def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str
 def _in_start_states(
     log: Log, calibration: Calibration, only: Sequence[str], ranges: Mapping[str, Mapping[float, float]]
 ) -> tuple[Calibration, list[str], Sequence[str]]:
-    """Return the calibration with the biases of the states in which sensors started, sentences on these, and the
-    sensors to fuse.
-    """
+    """Return the calibration with the biases of start-up states, sentences on them, and the sensors to fuse."""
     by_sensor = {name: ranges[sensor.chip] for name, sensor in log.sensors.items() if sensor.chip in ranges}
     adapted, starts = start_up_states(log, calibration, by_sensor)
     wrong = [name for name, start in starts.items() if start.fault]
@@ -242,9 +236,7 @@ WATCH = Watch()
 
 @dataclass(frozen=True)
 class Patience:
-    """Time that frames wait for rows of a sensor; `on_remark` receives a sentence when a sensor times out, and when its
-    rows arrive again.
-    """
+    """Time that frames wait for rows of a sensor; `on_remark` receives sentences on time-outs and returns."""
 
     timeout_s: float = TIMEOUT_S
     on_remark: Callable[[str], None] = lambda text: None
@@ -351,9 +343,7 @@ def live(
 
 
 def aligned(log: Log, calibration: Calibration, *, only: Collection[str] = ()) -> Iterator[FrameBlock]:
-    """Yield the input of techniques from a log: blocks of frames by quantity, with the temperatures of elements by
-    sensor. FusionError.
-    """
+    """Yield the input of techniques: blocks of frames by quantity, and element temperatures by sensor. FusionError."""
     array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True))
     return _replay(log, array.stream(lambda period_s: FramePipeline(), temperatures), BLOCK)
@@ -510,9 +500,7 @@ def _by_quantity(sensors: Sequence[_Sensor], only: Collection[str], where: str) 
 def _replay(
     log: Log, stream: FusionStream[_Out], block: int, progress: Progress = lambda share: None
 ) -> Iterator[_Out]:
-    """Push the rows of all sensors to the stream, about in order of time, so that none is far ahead of the others, and
-    yield its output.
-    """
+    """Push the rows of all sensors to the stream, about in order of time, and yield its output."""
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}

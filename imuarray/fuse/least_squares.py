@@ -90,9 +90,7 @@ class SlowErrors:
         """True if the covariance of any slow error is known."""
 
     def covariance(self, gains: Floats, triads: Floats) -> Floats:
-        """Return covariances (n, 6) (`frames.ENTRIES`) of triads (n, 3) computed with `gains` (n, 3, m), or (1, 3, m)
-        for all.
-        """
+        """Return covariances (n, 6) (`frames.ENTRIES`) of triads (n, 3) with `gains` (n, 3, m), or (1, 3, m)."""
         if len(gains) == 1:
             factors = entries(gains[0] @ self._terms @ gains[0].T)
             compiled = compiled_frames.quadratic(factors[_FIRST].T + factors[_SECOND].T * _TWICE, triads.T)
@@ -176,16 +174,12 @@ def whole_gain(weights: Floats, rows: Floats) -> Floats:
 
 
 def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
-    """Solve ``values = rows @ truth_box`` by weighted least squares for each frame: (n, 3), NaN where the axes do not
-    span space.
-    """
+    """Solve ``values = rows @ truth_box`` by weighted least squares to (n, 3), NaN where the axes do not span space."""
     return _solved(values, weights, rows)[0]
 
 
 def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
-    """Solve as `solve_frames`; return also the gains and whether the axes span space, of every frame, or once if all
-    frames have the same weights.
-    """
+    """Solve as `solve_frames`; return also gains and whether axes span space, per frame or once for equal weights."""
     gains, solvable = frame_gains(_distinct(weights), rows)
     if len(gains) == 1:
         triad = multiply_rows(values, gains[0].T) if solvable[0] else np.full((len(values), 3), np.nan)
@@ -249,9 +243,7 @@ _CONSENSUS_BYTES = 1 << 18
 
 
 def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> Floats:
-    """Return the robust mean (n, 3) of the valid `values` (n, m) in SI of axes along `rows` (m, 3), in triads; NaN
-    where they do not span space.
-    """
+    """Return the robust mean (n, 3) of valid `values` (n, m) in SI along `rows` (m, 3); NaN if they span no space."""
     gains, solvable = frame_gains(np.ones((1, len(rows))), rows)
     if solvable[0] and len(values):
         sound = np.asarray(valid.all(axis=1))
@@ -362,9 +354,7 @@ class FixedWeights:
         return replace(estimate, covariance_box=covariance)
 
     def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
-        """Return the gain (3, m) of frames whose readings are all valid, and the function from their triads to their
-        estimate.
-        """
+        """Return the gain (3, m) of frames whose readings are all valid, and the function from triads to estimate."""
         zeros = np.zeros((1, len(self.weights)))
         alone = weighted(zeros, self.weights[None], AxisNoise(self.rows, self.noise))
         gain = whole_gain(self.weights, self.rows)

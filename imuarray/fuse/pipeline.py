@@ -84,9 +84,7 @@ class Pipeline(Protocol[Out_co]):
 
 
 PipelineFactory = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
-"""Creates a pipeline from the axes by quantity and the seconds from frame to frame; FusionError if the axes are not
-sufficient.
-"""
+"""Creates a pipeline from axes by quantity and seconds between frames; FusionError if the axes do not suffice."""
 
 
 class QuantityPipeline:

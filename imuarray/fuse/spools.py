@@ -31,9 +31,7 @@ class RowSource(Protocol):
 
 
 class RowSpool:
-    """Rows (n, `columns`) of float64 in a temporary file, or in a file with a name. A `RowSource`, a context
-    manager.
-    """
+    """Rows (n, `columns`) of float64 in a temporary or a named file. A `RowSource`, a context manager."""
 
     def __init__(self, columns: int, path: Path | None = None, mode: str = "w+b") -> None:
         self._columns, self._path = columns, path

@@ -184,9 +184,7 @@ class SensorGroup:
 
 
 class FusionStream(Generic[Out]):
-    """Fuses rows as they are pushed; `finish` returns the rest. The result does not depend on the size of the
-    pieces.
-    """
+    """Fuses rows as they are pushed; `finish` returns the rest. The size of the pieces does not matter."""
 
     def __init__(
         self,
@@ -402,9 +400,7 @@ class FusionStream(Generic[Out]):
                 frames["angular_rate"].values[:, 3 * place : 3 * place + 3] -= np.nan_to_num(force_g) @ response.T
 
     def _responses(self, group: SensorGroup) -> list[Floats | None]:
-        """Return the response (3, 3) of each sensor of a group, in SI along its axes, to one g along each box axis;
-        None if unknown.
-        """
+        """Return each sensor's response (3, 3), in SI along its axes, to 1 g along each box axis; None if unknown."""
         known = [self._units[number].known for number in group.numbers]
         return [
             None if item.g_sensitivity_lsb_per_g is None else item.g_sensitivity_lsb_per_g / item.lsb_per_si[:, None]

@@ -22,9 +22,7 @@ _FEWEST = 4
 """Least number of poses for which residuals are shown."""
 
 _WIDEST = 12
-"""Largest number of poses for which the table of residuals has a column each: more do not fit on the page of a desktop
-computer.
-"""
+"""Largest number of poses for which the table of residuals has a column each; more do not fit on a desktop page."""
 
 _BASIC = {"bias", "response", "noise"}
 """Groups of a calibration's figures that the first table shows."""
@@ -104,9 +102,7 @@ def _or_none(value: float | None) -> str:
 
 
 def residual_section(log: Log, calibration: Calibration, *, with_figures: bool) -> Section | None:
-    """Return the residuals of each accelerometer, the calibrated specific force less 1 g in each pose of the log; None
-    for fewer than four poses.
-    """
+    """Return the residuals of each accelerometer: specific force less 1 g in each pose; None for fewer than four."""
     sensors = [sensor for sensor in log.of("specific_force") if sensor.name in calibration.sensors]
     try:
         poses = named_faces(log) or (find_poses(log) if sensors else [])

@@ -40,9 +40,7 @@ def new_panel(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def plain_name(text: str, longest: int = 24) -> str:
-    """Return a name that matplotlib shows literally: dollars escaped, control characters replaced, at most `longest`
-    characters.
-    """
+    """Return a name that matplotlib shows literally: dollars escaped, no control characters, at most `longest` long."""
     name = "".join(sign if sign.isprintable() else "?" for sign in text)
     name = name if len(name) <= longest else name[: longest - 1] + "…"
     return name.replace("$", r"\$")

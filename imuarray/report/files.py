@@ -146,9 +146,7 @@ KINDS: Mapping[str, FileKind] = {
     "gap diagnosis": FileKind(lambda path: {"verdict", "causes"} <= {*_content(_file_of(path))}, _gap),
     "validation run": FileKind(lambda path: (path / "plan.json").is_file(), _validation),
 }
-"""The kinds of files that a page can show, in the order of a page. The last ones are tried first, because a fused
-result has the suffix of a log.
-"""
+"""The kinds of files that a page shows, in its order; the last are tried first: a fused result has a log's suffix."""
 
 _ALLOWED = (
     "allowed are logs and fused results (.h5), calibrations (.toml), gap.json or the folder of `gap diagnose -o`, and"

@@ -34,9 +34,7 @@ PAPER, INK = "#14191d", "#e4e8eb"
 """Background and text of a dark page (page.html): white becomes the first, black the second."""
 
 _SHAPE = 0.55
-"""Exponent of the scale of lightness on a dark page; it is below 1 because mid-tones need more lightness there to be
-distinct.
-"""
+"""Exponent of the scale of lightness on a dark page, below 1: mid-tones need more lightness there to be distinct."""
 
 _LMS = np.array(
     [
@@ -134,9 +132,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph, and tables and figures. With a `fold`, a line of text, the parts are hidden until the
-    reader opens that line.
-    """
+    """A heading, a paragraph, tables and figures; a `fold` is a line of text that hides these until it is opened."""
 
     title: str
     text: str
@@ -149,9 +145,7 @@ Level = Literal["good", "doubtful", "bad", "neutral"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The opening of a page: one sentence, a level, and three to five figures, each a value with its unit and its
-    meaning.
-    """
+    """The opening of a page: one sentence, a level, and three to five figures, each a value with unit and meaning."""
 
     sentence: str
     level: Level = "neutral"
@@ -199,9 +193,7 @@ def write_page(
     verdict: Verdict | None = None,
     force: bool = False,
 ) -> None:
-    """Write the page; OutputExistsError if the file exists and not `force`, OutputError, MissingExtraError without
-    jinja2.
-    """
+    """Write the page; OutputExistsError if it exists without `force`, OutputError, MissingExtraError without jinja2."""
     require_page_package()
     from jinja2 import Environment
 

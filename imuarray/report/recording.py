@@ -37,9 +37,7 @@ order, readings are up to two periods apart.
 """
 
 _MOST_STRETCHES = 64_000
-"""Largest number of stretches of all sensors together: 28 bytes each, a third more as text, so that the page is below
-5 MB.
-"""
+"""Largest number of stretches of all sensors: 28 bytes each, a third more as text, so that the page is below 5 MB."""
 _MOST_OF_ONE = 4000
 """Largest number of stretches of a sensor."""
 _STATIC = 500
@@ -236,9 +234,7 @@ def _values(sensor: SensorLog, rows: slice, calibration: Calibration) -> Floats:
 
 
 def _period_ns(sensor: SensorLog) -> float:
-    """Return the usual time between two readings: half the median of two consecutive steps, which is even if sensors
-    are polled in alternating order.
-    """
+    """Return the usual time between readings: half the median of two steps, also for sensors polled alternately."""
     time = np.asarray(sensor.time[: 4 * 4096], np.int64)
     return float(np.median(time[2:] - time[:-2])) / 2 if len(time) > 2 else float("inf")
 
@@ -349,9 +345,7 @@ def _encoded(values: Floats) -> str:
 
 @cache
 def scripts() -> tuple[str, ...]:
-    """Return the scripts to zoom a recording: BokehJS from the installed package, and `recording.js`; none without
-    Bokeh.
-    """
+    """Return the scripts to zoom a recording: BokehJS as installed, and `recording.js`; none without Bokeh."""
     package = find_spec("bokeh")
     if package is None or package.origin is None:
         return ()

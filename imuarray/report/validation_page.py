@@ -1,6 +1,4 @@
-"""The page of a validation run, in HTML and in Markdown: every figure with its requirement, those that fail, plots, and
-the settings of the run.
-"""
+"""The page of a validation run, HTML and Markdown: figures with requirements, failures, plots, settings."""
 
 from __future__ import annotations
 
@@ -244,9 +242,7 @@ def _causes(figures: Figures, plots: Plots) -> Section:
 
 
 def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
-    """Return the active mechanism, the reported cause and the number of cases of each confusion, the most
-    frequent first.
-    """
+    """Return the active mechanism, the reported cause and the number of cases of each confusion, the most frequent."""
     confusion = figures.confusion
     confusions = [
         (count, truth, said)
@@ -364,9 +360,7 @@ def summary_lines(figures: Figures) -> Iterator[str]:
 
 
 def transfer_rows(figures: Figures) -> Iterator[list[str]]:
-    """Yield the name of each figure that several worlds have, its value and cases in each world, and the transfer
-    gap.
-    """
+    """Yield the name of each figure that several worlds have, value and cases in each, and the transfer gap."""
     for transfer in figures.transfers:
         cells = [transfer.rows.get(world) for world in figures.worlds]
         values = [f"{decimal(row.value)} ({row.cases})" if row else "–" for row in cells]

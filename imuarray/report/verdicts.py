@@ -1,6 +1,4 @@
-"""The verdict that opens a page: one sentence on the quality of a recording, a calibration or a fused result and on
-what to do, with a few figures.
-"""
+"""The verdict that opens a page: a sentence on the quality of a recording, calibration or result, and figures."""
 
 from __future__ import annotations
 
@@ -253,9 +251,7 @@ _ORDER = ("bad", "doubtful", "neutral", "good")
 
 
 def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
-    """Return one verdict for several: the worst, or that everything is in order, with figures of each in turn; None if
-    there are none.
-    """
+    """Return one verdict for several: the worst, or that all is in order, with figures of each; None without any."""
     if len(verdicts) < 2:
         return verdicts[0] if verdicts else None
     ranked = sorted(verdicts, key=lambda verdict: _ORDER.index(verdict.level))

@@ -89,9 +89,7 @@ CASES = (
 
 
 def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
-    """Return the gains of every case, for each quantity and axis; all techniques on the same sample are evaluated in
-    one pass.
-    """
+    """Return the gains of every case, for each quantity and axis; techniques on one sample in one pass."""
     gains: dict[GainCase, list[Gain]] = {}
     for run, only, names in dict.fromkeys(case.sample for case in CASES):
         cases = [case for case in CASES if case.sample == (run, only, names)]
@@ -129,9 +127,7 @@ _DIRECTION = {"specific_force": "along", "angular_rate": "about"}
 
 
 def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verdict:
-    """Return the verdict: the gain of the three techniques, the quality of the calibration, and the gap of the
-    simulator.
-    """
+    """Return the verdict: gain of the techniques, calibration quality, and the gap of the simulator."""
     gained = [(case, _best(rows, case)) for case in CASES if case.claim]
     case, best = min(gained, key=lambda pair: pair[1].ratio)
     figures = [
@@ -309,9 +305,7 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
 
 
 def drift_of_gyroscopes(log: Log, calibration: Calibration, temperature: tuple[Any, Any]) -> DrawnFigure:
-    """Draw the error about box Y of every gyroscope, of their average and with their axes opposed, over time;
-    `temperature`: times in s, and degC.
-    """
+    """Draw the error about box Y of every gyroscope, their average and opposed axes, over `temperature` (s, degC)."""
     single = {
         sensor.name: _slow_error(*errors_of(log, fuse(log, calibration, "mean", only=[sensor.name]))["angular_rate"])
         for sensor in log.of("angular_rate")
@@ -413,9 +407,7 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -
 def diagnose_rest(
     path: Path, folder: Path, only: Sequence[str], seed: int, report: Report
 ) -> tuple[Diagnosis, dict[str, Any]]:
-    """Compare `only` these sensors of the run at rest with a simulator, write gap.html, and return the diagnosis and
-    the noise of all sensors.
-    """
+    """Compare `only` these sensors at rest with a simulator, write gap.html; return the diagnosis and all noise."""
     report("diagnosing")
     with open_log(path) as log:
         diagnosis = diagnose([log], only=only, seed=seed, replicates=REPLICATES)
@@ -440,9 +432,7 @@ def demo_summary(
 
 
 def prepare_folder(folder: Path, force: bool, further_files: Sequence[str] = ()) -> Path:
-    """Create the folder and return it; OutputExistsError if it contains a file of the demonstration or one of
-    `further_files`, unless `force`.
-    """
+    """Create and return the folder; OutputExistsError if it has one of its files or `further_files`, unless `force`."""
     folder.mkdir(parents=True, exist_ok=True)
     existing = [
         "report.html",
@@ -485,9 +475,7 @@ def drift_figure(
     unit: str,
     temperature: tuple[Reals, Reals] | None,
 ) -> DrawnFigure:
-    """Draw the slow errors (n,) of single sensors and of fused results over time, and the temperature (time,
-    degC) below.
-    """
+    """Draw slow errors (n,) of sensors and results over time, and the temperature (time, degC) below."""
     figure = new_figure(8.0, 5.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     for number, values in enumerate(single.values()):

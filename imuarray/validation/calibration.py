@@ -46,9 +46,7 @@ _EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
 
 
 class CauseClaim(NamedTuple):
-    """A reported cause: its share among rivals, the share of its sensors' gap that all causes together close, and
-    whether it is right.
-    """
+    """A reported cause: its share among rivals, the share of the gap that all causes close, and whether it is right."""
 
     share: float
     all_closed: float
@@ -68,9 +66,7 @@ class Fold(NamedTuple):
 
 
 class ConfusablePair(NamedTuple):
-    """Effects that are confused: in `times` of the `cases` in which `effect` was active and a gap was reported, `said`
-    was the first cause.
-    """
+    """Effects that are confused: in `times` of `cases` with `effect` and a reported gap, `said` was the first cause."""
 
     effect: str
     said: str
@@ -79,9 +75,7 @@ class ConfusablePair(NamedTuple):
 
 
 def claims_in(answers: Sequence[Answer]) -> list[CauseClaim]:
-    """Return the causes reported in cases of one mechanism, two or none, in random worlds or on the full plan. Causes
-    without a share are omitted.
-    """
+    """Return the causes with a share in cases of one mechanism, two or none, in random worlds or on the full plan."""
     claims = []
     for answer in answers:
         if not (answer.case.world or answer.case.plan == FULL) or answer.case.kind not in ("single", "pair", "none"):

@@ -44,9 +44,7 @@ _KINDS = ("control", "effect", "unknown", "pair")
 
 
 def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
-    """Return the cases of these folders, numbered from `first` on, without reading their truth. ConfigError for a
-    folder without cases.
-    """
+    """Return the cases of these folders, numbered from `first`, without their truth. ConfigError without cases."""
     cases: list[Case] = []
     for folder in folders:
         places = _places(folder)
@@ -58,9 +56,7 @@ def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
 
 
 def read_case(case: Case) -> tuple[Case, list[Path], dict[str, Any]]:
-    """Return the case completed from its truth, its logs, and the truth with its effects under "mechanisms".
-    ConfigError for an invalid truth.
-    """
+    """Return the case completed from its truth, its logs, and the truth with "mechanisms". ConfigError if invalid."""
     place = Path(case.source)
     path = place.parent / SEALED / f"{place.name}.json"
     truth = _truth(path)

@@ -206,9 +206,7 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
 
 
 def _reading_times_s(sensor: SensorLog) -> Floats:
-    """Return the times (n,) at which the rows were read, in s since the first one. If rows arrive in bursts, these are
-    not their stamps.
-    """
+    """Return the times (n,) of reading in s since the first; rows that arrive in bursts have other stamps."""
     is_stamped_late = row_timing(sensor).kind == "bursts"
     time_ns = even_rows(sensor).stamps(0, len(sensor)) if is_stamped_late else np.asarray(sensor.time[:], np.int64)
     return np.asarray((time_ns - time_ns[0]) * 1e-9)

@@ -275,9 +275,7 @@ def _finished(
 def _state_of_future(
     future: Future[State], case: Case, folder: Path, workers: Workers, deaths: Counter[str]
 ) -> State | None:
-    """Return the state of a submitted case; None if it must be submitted again. `deaths` counts dead
-    workers by case.
-    """
+    """Return the state of a submitted case; None to submit it again. `deaths` counts dead workers by case."""
     try:
         return future.result()
     except CancelledError:

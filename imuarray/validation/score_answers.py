@@ -100,9 +100,7 @@ class Answer:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The reported causes without those that correctly describe the world, which are neither right nor wrong
-        answers.
-        """
+        """The reported causes without those that describe the world, which are neither right nor wrong."""
         active = frozenset().union(*(mechanism.resembles for mechanism in self.active))
         of_world = self.world_effects - active
         return tuple(cause for cause in self.reported if cause["effect"] not in of_world)
@@ -203,9 +201,7 @@ class LostCase:
 
 @dataclass(frozen=True)
 class ValidationRun:
-    """The results of a validation run: its plan (`plan.json`), the answers in the order of their numbers, lost cases,
-    notes.
-    """
+    """A validation run: its plan (`plan.json`), the answers in the order of their numbers, lost cases, notes."""
 
     plan: Mapping[str, Any]
     answers: tuple[Answer, ...]

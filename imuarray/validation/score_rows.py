@@ -315,9 +315,7 @@ FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
 UNKNOWN, FALSE_UNKNOWN = (0.90, None), (None, 0.10)
 APART, TOGETHER, REMOVED = (0.75, None), (0.55, None), (0.90, None)
 LARGE = 5.0
-"""Size in detection limits from which on a mechanism is easy to detect, and at which a known mechanism must not be
-reported as unknown.
-"""
+"""Size in detection limits from which a mechanism is easy to detect, and must not be reported as unknown if known."""
 
 _OPEN = ("unexplained", "partly explained")
 _SURE = 3.0
@@ -406,9 +404,7 @@ def is_removed(answer: Answer) -> bool:
 
 
 def extra_of(extra: Mapping[str, Any], resembles: Sequence[Sequence[str]] = ()) -> tuple[set[str], set[str]]:
-    """Return the names and sensors of a model's extra effect: its "effect", otherwise its tables, otherwise the names
-    that it resembles.
-    """
+    """Return names and sensors of a model's extra effect: its "effect", else its tables, else what it resembles."""
     named = (
         {str(extra["effect"])}
         if "effect" in extra

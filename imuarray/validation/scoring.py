@@ -157,9 +157,7 @@ MOST_CELLS = 8
 
 @dataclass(frozen=True)
 class Figures:
-    """All figures of a run. `plan` is its plan.json, `cases` counts all cases including those `lost`; `full` names the
-    plan on which bars are judged.
-    """
+    """All figures of a run: `plan` is its plan.json, `cases` includes those `lost`, bars are judged on plan `full`."""
 
     plan: Mapping[str, Any]
     full: str
@@ -320,9 +318,7 @@ def as_json(figures: Figures) -> dict[str, Any]:
 
 
 def format_text(figures: Figures) -> str:
-    """Format the figures for the terminal, at most 120 columns: every row with its mark, the cells that miss a bar, and
-    the lost cases.
-    """
+    """Format the figures in at most 120 columns: rows with marks, the cells that miss a bar, and the lost cases."""
     heading = f"{figures.half or 'validation'} half: {figures.cases} cases, {len(figures.lost)} lost"
     lines = [heading, "", _format_line("", "figure", "value", "95 %", "cases", "bar")]
     shown = shown_rows(figures)

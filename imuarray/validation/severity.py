@@ -104,9 +104,7 @@ def find_severity(statistic: Callable[[float], float], wanted: float, first: flo
 
 
 def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> float:
-    """Return the next severity: by the power law through the last two, or in proportion; ten times the last one if the
-    effect is not visible.
-    """
+    """Return the next severity: by the power law through the last two, or in proportion; ten times if invisible."""
     severity, reached = trials[-1]
     power = 1.0
     if reached < 0.05:
@@ -225,9 +223,7 @@ def _windows(counts: Floats) -> Floats:
 
 
 def _quiet(counts: Floats) -> Booleans:
-    """Return (m,) whether each window is at rest: its standard deviation is at most `_QUIET` times the lower quartile
-    of all windows.
-    """
+    """Return (m,) whether a window is at rest: its deviation is at most `_QUIET` times the lower quartile of all."""
     spread = _windows(counts).std(axis=1).max(axis=1) if len(counts) >= _WINDOW else np.zeros(0)
     return np.asarray(spread <= _QUIET * np.quantile(spread, 0.25) + 1e-9) if len(spread) else np.zeros(0, bool)
 
@@ -476,9 +472,7 @@ def _displacements(header: SensorHeader, axis: int) -> Floats:
 
 
 def _delay_s(header: SensorHeader) -> float:
-    """Return one sigma of the delay of a sensor's signal in s: that of its filter, from the tolerance of its cutoff,
-    plus one sample of the chip.
-    """
+    """Return one sigma of a signal's delay in s: by the filter's cutoff tolerance, plus one sample of the chip."""
     cutoff_hz = noise_bandwidth_hz(header)
     filter_s = CUTOFF_TOLERANCE * two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
     return filter_s + (1 / header.rate_hz if header.rate_hz > 0 else 0.0)

@@ -43,9 +43,7 @@ _WORST = 20
 
 
 class CaseRecording(NamedTuple):
-    """A case completed with the values that were determined while it was recorded, the paths of its logs, and the
-    truth.
-    """
+    """A case completed with values determined in its recording, the paths of its logs, and the truth."""
 
     case: Case
     logs: list[Path]

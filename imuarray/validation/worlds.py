@@ -34,9 +34,7 @@ one processor, the search for causes several times as long.
 MOST_SECONDS = 600.0
 """Maximum duration of all logs of a case, in s."""
 MOST_READINGS_PER_S = 2500.0
-"""Maximum number of readings of all sensors per second: the capacity of a bus at 400 kHz (0.25 ms for a triad) with a
-reserve of a third.
-"""
+"""Maximum readings per second of all sensors: a bus at 400 kHz (0.25 ms for a triad) with a third in reserve."""
 RATES_HZ = (20.0, 25.0, 32.0, 50.0, 64.0, 100.0, 128.0, 200.0, 250.0, 400.0, 500.0, 1000.0)
 KINDS = ("static", "tumble", "heating", "turn-on", "motion")
 """The experiments, in the order in which they are recorded."""
@@ -98,9 +96,7 @@ _USUAL_S: Mapping[str, tuple[float, float]] = {
 
 
 class WorldSensor(NamedTuple):
-    """One sensor of a world: its chip, range (0: fixed), mounting ("" for a barometer), I2C address, and the number of
-    readings per second.
-    """
+    """One sensor of a world: chip, range (0: fixed), mounting ("": barometer), I2C address, readings per second."""
 
     chip: str
     range: float

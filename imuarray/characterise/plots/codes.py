@@ -110,9 +110,7 @@ def marks(axis: Table, level: float) -> list[str]:
 
 
 def step_of(axis: Table, level: float) -> int:
-    """Return the usual step of the codes; 1 if it may be due to chance: the probability for n different codes is
-    step^(1 - n).
-    """
+    """Return the usual step of codes; 1 if chance explains it, which gives n different codes with p = step^(1 - n)."""
     step: int = axis["codes"]["usual_step"]
     different = len(axis["histogram"]["codes"]) if axis["histogram"] else np.inf
     return step if step > 1 and float(step) ** (1 - different) <= level else 1

@@ -124,9 +124,7 @@ class WindowSeries:
 
 
 def _moments(triad: Floats, along: Floats) -> Floats:
-    """Return sums (k, m, 5, 5) over the frames of the products of (1, triad, slope along the axis), from triads (k, n,
-    3) and slopes (k, n, m).
-    """
+    """Return sums (k, m, 5, 5) over frames of products of (1, triad, slope): triads (k, n, 3), slopes (k, n, m)."""
     windows, frames, axes = along.shape
     result = np.empty((windows, axes, STATES, STATES))
     common = np.concatenate([np.ones((windows, frames, 1)), triad], axis=2)

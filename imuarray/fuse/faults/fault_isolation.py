@@ -129,9 +129,7 @@ class _Runs:
         self._windows += windows
 
     def __call__(self, shows: Booleans, judged: Booleans) -> Booleans:
-        """Process a window and return (s,) the sensors that show the property in it and in the one before, if that is
-        unusual for them.
-        """
+        """Return (s,) the sensors with the property in this window and the one before, if that is unusual for them."""
         usual = self._by_itself > _RARE * self._windows
         ended = ~shows & judged
         self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
@@ -232,9 +230,7 @@ class FaultIsolation:
         return passed
 
     def __call__(self, window: DecisionWindow, masks: Sequence[Booleans]) -> None:
-        """Process the next window; `masks` (m,) of it (the last one) and of the one before are set to True for excluded
-        axes.
-        """
+        """Process the next window; set `masks` (m,) of it (the last) and of the one before to True for excluded axes"""
         if not self._normal.begun:
             self._normal.begin(window.changes)
         self._count += 1
@@ -364,9 +360,7 @@ class FaultIsolation:
         self.report.isolated(exclusion, exclusion.kind)
 
     def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: DecisionWindow, drifted: float) -> Booleans:
-        """Count the windows with a fault that is not isolated, and report it if it lasts. Return the axes (m,) of the
-        sensors that may have it.
-        """
+        """Count windows with a fault that is not isolated, report it if it lasts, and return the suspect axes (m,)."""
         sensor = suspect.axes[0] // 3
         among = sorted({sensor, *suspect.rivals})
         count, last = self._doubts.get(among[0], (0, -_FORGOTTEN_WINDOWS))

@@ -305,9 +305,7 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
 
 
 def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
-    """Return the hypothesis for the means: the sensor with the greatest gain, or its one axis with nearly all of that
-    gain.
-    """
+    """Return the hypothesis for means: the sensor with the greatest gain, or its one axis with nearly all of it."""
     best = int(sensor.argmax())
     members = np.arange(3 * best, 3 * best + 3)
     item = int(members[axis[members].argmax()])
@@ -416,9 +414,7 @@ class Baseline:
         return np.where(space.observable, np.abs(departure) / allowed, 0.0), departure, allowed
 
     def reset(self, axis: int, normal: NormalModel) -> None:
-        """Reset the state of an axis in `normal` to its initial one: a drift beyond its limit is not a calibration
-        error.
-        """
+        """Reset an axis in `normal` to its initial one: a drift beyond its limit is not a calibration error."""
         if self._state is not None and self._covariance is not None:
             normal.state[axis], normal.covariance[axis] = self._state[axis], self._covariance[axis]
 

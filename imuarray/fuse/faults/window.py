@@ -162,9 +162,7 @@ class NormalModel:
         return np.asarray((regressors @ self.state[:, :, None])[..., 0].T)
 
     def jitter(self, regressors: Floats) -> Floats:
-        """Return the mean variance (m,) of single readings of a window, with regressors (m, n, 5), by the unknown part
-        of their age.
-        """
+        """Return the mean variance (m,) of a window's readings, regressors (m, n, 5), by the unknown part of age."""
         return self.jitter_of((regressors[..., 4] ** 2).mean(axis=1))
 
     @staticmethod
@@ -177,9 +175,7 @@ class NormalModel:
         return np.asarray(((self.covariance @ regressors[:, :, None])[..., 0] * regressors).sum(axis=1))
 
     def doubt_within(self, centred: Floats) -> Floats:
-        """Return the mean variance (m,) by the states' uncertainty within a window; `centred` (m, n, 5) are regressors
-        less their mean.
-        """
+        """Return the mean variance (m,) by uncertain states; `centred` are regressors (m, n, 5) less their mean."""
         return np.asarray(((centred @ self.covariance) * centred).sum(axis=(1, 2)) / centred.shape[1])
 
     def age(self, which: Booleans) -> None:
@@ -274,16 +270,12 @@ class Parity:
 
     @cached_property
     def deleted(self) -> Floats:
-        """Matrix (m, m) of the deleted residuals: each axis less its prediction from all others; 0 for an axis whose
-        error is not visible.
-        """
+        """Matrix (m, m) of deleted residuals: each axis less its prediction from all others; 0 for invisible errors."""
         size = np.where(self.observable, self.matrix.diagonal(), 1.0)
         return np.asarray(np.where(self.observable[:, None], self.matrix / size[:, None], 0.0))
 
     def axis_gains(self, errors: Floats) -> Floats:
-        """Return twice the log-likelihood ratio (m,) of an error in one axis, for `errors` (m,): one degree of
-        freedom.
-        """
+        """Return twice the log-likelihood ratio (m,) of an error in one axis, `errors` (m,): one degree of freedom."""
         residuals = self.matrix @ errors
         return np.asarray(
             np.where(self.observable, residuals**2 / np.where(self.observable, self.matrix.diagonal(), 1.0), 0.0)
@@ -301,9 +293,7 @@ class Parity:
 
 
 def parity(rows: Floats, weights: Floats) -> Parity | None:
-    """Return the parity space of axes `rows` (m, 3) with `weights` (m,); None if the weighted axes do not span
-    space.
-    """
+    """Return the parity space of axes `rows` (m, 3) with `weights` (m,); None if these axes do not span space."""
     weighted = rows * weights[:, None]
     normal = weighted.T @ rows
     if not spans(normal):
@@ -472,9 +462,7 @@ class _FrameSolution:
         return cls(*spaces.gains(valid, weights))
 
     def __call__(self, values: Floats) -> Floats:
-        """Return the triads (n, 3) of values (n, m), which are 0 if not valid; a frame without a triad gets that of the
-        frame before.
-        """
+        """Return the triads (n, 3) of values (n, m), 0 if not valid; a frame without a triad gets the one before."""
         if self.gains.ndim == 2:
             return np.asarray(values @ self.gains.T)
         triad: Floats = np.einsum("nim,nm->ni", self.gains, values)

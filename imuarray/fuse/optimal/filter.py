@@ -133,9 +133,7 @@ class Dynamics:
     def __call__(
         self, view: SegmentView, readings: FrameReadings, solution: FrameSolution, frames: slice
     ) -> Floats | None:
-        """Increase the covariances of frames by the effect of the change. Return the weights (n,) of the frames for
-        slow errors; None if all are 1.
-        """
+        """Increase the covariances of frames by the change; return weights (n,) for slow errors, None if all are 1."""
         if not self._worst or not len(readings.time):
             return None
         changes = self._changes(readings.time, solution.unknowns[frames, :3])
@@ -240,9 +238,7 @@ class SegmentEvidence:
         return rows, values
 
     def _fair(self, valid: Booleans, triad: Floats, used: Booleans) -> Booleans:
-        """Return the readings (n, r) to use: of frames with a triad, and of axes that are not near the ends of their
-        range.
-        """
+        """Return the readings (n, r) to use: in frames with a triad, of axes not near the ends of their range."""
         solved = np.asarray(used.any(axis=1))
         if not solved.all():
             valid = valid & solved[:, None]
@@ -305,9 +301,7 @@ class SegmentEnds:
         self.starts = True
 
     def parts(self, frames: int) -> Iterator[tuple[slice, bool, bool]]:
-        """Yield the pieces of the next `frames` within one segment: the frames, whether a segment starts with them, and
-        whether it ends with them.
-        """
+        """Yield the pieces of the next `frames` in one segment: frames, whether a segment starts and ends there."""
         at = 0
         while at < frames:
             size = min(self._left, frames - at)
@@ -345,9 +339,7 @@ class ArrayFilter:
         self._step = (self.belief, np.ones(len(states.names)), np.zeros(len(states.names)))
 
     def __call__(self, readings: FrameReadings, warmer: Callable[[int], Floats]) -> FrameSolution:
-        """Solve the next frames; `warmer` returns the temperatures (r,) of the rows above those of their biases at a
-        frame of the block.
-        """
+        """Solve the next frames; `warmer` returns temperatures (r,) above those of the biases at a block's frame."""
         solution = FrameSolution.empty(len(readings.time), self.geometry)
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)

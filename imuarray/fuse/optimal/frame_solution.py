@@ -329,9 +329,7 @@ def _solve_odd(
 
 
 def _informative(view: SegmentView, bounds: Bounds, which: Indices | slice, into: FrameSolution) -> Booleans:
-    """Return (n, m) the clipped axes of these frames whose bounds contain information: those not expected far
-    beyond.
-    """
+    """Return (n, m) the clipped axes of these frames whose bounds inform: those not expected far beyond."""
     ends = bounds.ends[which]
     informative: Booleans = np.asarray(ends != 0)
     frames = np.flatnonzero(informative.any(axis=1))

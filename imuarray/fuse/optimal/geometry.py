@@ -191,9 +191,7 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
 
 
 def _redundant(beyond: Booleans, valid: Booleans, geometry: Geometry) -> Booleans:
-    """Return those of the readings (n, m) near the end of the range whose directions are determined by valid axes of a
-    wider range.
-    """
+    """Return the readings (n, m) near the end of the range along which valid axes of a wider range suffice."""
     frames = np.flatnonzero(beyond.any(axis=1))
     valid_within, ends = (valid & ~beyond)[frames], geometry.end[: geometry.axes]
     for end in np.unique(ends[beyond.any(axis=0)]):

@@ -47,9 +47,7 @@ ROWS = 6
 """Number of rows after those of the axes: three of the slopes, and three of the prior `FASTEST`."""
 
 _PARABOLA = 6.5
-"""Variance of the slope of the parabola through three points at its last one, relative to theirs, in periods: 1.5^2 +
-2^2 + 0.5^2.
-"""
+"""Variance of a parabola's slope at the last of three points, relative to theirs, in periods: 1.5^2 + 2^2 + 0.5^2."""
 
 _JITTER = 0.25
 """Largest relative deviation of the time between neighbouring frames, for which that variance is about right."""
@@ -219,9 +217,7 @@ class Optimal:
         return {quantity: self._groups[quantity].estimate(solutions[quantity], frames[quantity]) for quantity in frames}
 
     def learned(self) -> dict[str, list[LearnedBias]]:
-        """Return the estimated slow errors, by quantity: at the last frame, or, after `smoothed`, at the end of that
-        log.
-        """
+        """Return the estimated slow errors, by quantity: at the last frame or, after `smoothed`, at its end."""
         return {
             quantity: learned_biases(self._axes[quantity], group.filter) for quantity, group in self._latest.items()
         }

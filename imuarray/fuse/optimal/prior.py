@@ -156,9 +156,7 @@ TIMING_S = 0.5e-3
 """Standard deviation of the times of readings of a chip whose rate is unknown."""
 
 _AGE = 1 / np.sqrt(12)
-"""Standard deviation, in periods of a chip's own rate, of the age of a reading at an arbitrary time; its mean is
-corrected.
-"""
+"""Standard deviation, in periods of a chip's own rate, of a reading's age; its mean is corrected."""
 
 UNWATCHED_DEGC = 3.0
 """Standard deviation, within `UNWATCHED_S`, of a temperature without a thermometer."""

@@ -326,9 +326,7 @@ def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
 
 
 def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) -> Floats:
-    """Return the prior covariance: diagonal, except for biases and responses of one sensor that were calibrated
-    together.
-    """
+    """Return the prior covariance: diagonal, except for biases and responses of one sensor calibrated together."""
     prior = np.diag(np.array([state.spread**2 for state in states]))
     place = {state.members[0]: row for row, state in enumerate(states) if state.name.endswith(" bias")}
     for item, row in place.items():

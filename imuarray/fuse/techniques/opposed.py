@@ -168,9 +168,7 @@ class OpposingGroup:
 
 
 def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
-    """Return every design and box axis that has axes in both directions, but not equally many: equal numbers cancel in
-    the average.
-    """
+    """Return every design and box axis with unequal numbers of axes in both directions; equal numbers cancel."""
     rows = directions(axes)
     main = np.abs(rows).argmax(axis=1)
     groups: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
@@ -221,9 +219,7 @@ class CommonErrorEstimate:
         self._sums = np.zeros((2, 1 + len(self.members)))
 
     def estimate(self, time: npt.NDArray[np.int64], residual: Floats, valid: npt.NDArray[np.bool_]) -> Floats:
-        """Return the common error (n,) in the unit of `residual` (n, m), axis values less the average triad along
-        them.
-        """
+        """Return the common error (n,) in the unit of `residual` (n, m), values less the average triad."""
         errors = np.where(valid[:, self.members], residual[:, self.members], np.nan)
         slow = self._slow(time, errors)
         start = self._slow.begin  # the level is the low-pass at this row
@@ -239,9 +235,7 @@ class CommonErrorEstimate:
         return np.asarray(common)
 
     def _parts(self, errors: Floats) -> Floats:
-        """Return (n, 1 + m) the sum of the means of both directions, and the difference of each axis from the mean of
-        its direction.
-        """
+        """Return (n, 1 + m) the sum of the means of both directions, and each axis less the mean of its direction."""
         ways = errors[:, : self._along], errors[:, self._along :]
         total = sum((way.mean(axis=1, keepdims=True) for way in ways), np.zeros((len(errors), 1)))
         return np.concatenate([total, *(way - way.mean(axis=1, keepdims=True) for way in ways)], axis=1)

@@ -112,9 +112,7 @@ class PlaneBlend:
         return sentences
 
     def _watch(self, frames: Frames) -> None:
-        """Add up the differences of the watched axes from the others: frames, sum, sum of squares. Stale readings are
-        ignored.
-        """
+        """Sum the differences of watched axes from the others: frames, sum, sum of squares, without stale readings."""
         full = np.ones(len(self._axes))
         full[self._watched] = 0.0
         reference = solve_frames(frames.values, full * frames.valid, self._rows)
@@ -205,9 +203,7 @@ def _stability(axes: Sequence[Axis], chip: str) -> Floats | None:
 
 
 def _by_kind(axes: Sequence[Axis], square: Floats, chip: str) -> dict[bool, float]:
-    """Return the mean squares of the in-plane and the out-of-plane axes of a design, relative to the mean of each
-    triad.
-    """
+    """Return the mean squares of in-plane and out-of-plane axes of a design, relative to the mean of each triad."""
     relative: dict[bool, list[float]] = {}
     for index, axis in enumerate(axes):
         if axis.chip == chip:

@@ -122,9 +122,7 @@ class Fading:
         self._last_ns: Times | None = None
 
     def __call__(self, frames: Frames, expected: Floats) -> Floats:
-        """Return the factors of the next block; `expected` (n, m) are the readings of each axis predicted by the wide
-        ranges (NaN: unknown).
-        """
+        """Return the factors of the next block; `expected` (n, m) are predictions by the wide ranges (NaN: unknown)."""
         count = len(frames.time)
         if self._is_calm(frames, expected):
             self._last_ns = frames.time[-1:] if count else self._last_ns
@@ -222,9 +220,7 @@ GAP_S = 0.5
 """Longest time between two frames from which a slope is computed."""
 
 _ENOUGH = 10.0
-"""Least mean square of a motion relative to its noise: with less, the noise of the regressor would attenuate the result
-by more than a tenth.
-"""
+"""Least mean square of a motion over its noise: noise of the regressor attenuates the result by at most a tenth."""
 
 _FEWEST = 8
 
@@ -391,9 +387,7 @@ class DifferenceStates:
     covariances: Floats
 
     def variances(self, frames: npt.NDArray[np.intp], along: Floats, slope: Floats) -> Floats:
-        """Return the variance (k, m) of the corrections of these frames at signals `along` (k, m) with `slope`
-        (k, m).
-        """
+        """Return the variance (k, m) of the corrections at signals `along` (k, m) with `slope` (k, m)."""
         terms = np.stack([np.ones_like(along), along, -slope], axis=-1)
         return np.asarray(np.einsum("kmi,kmij,kmj->km", terms, self.covariances[self.which[frames]], terms))
 
@@ -460,9 +454,7 @@ class Tracker:
         return result, covariances / self._share[:, None, None]
 
     def _learn(self, segments: SegmentMoments) -> tuple[Floats, Floats]:
-        """Update the filters by k segments; return differences (k + 1, m, 3) and covariances (k + 1, m, 3, 3) before,
-        between and after them.
-        """
+        """Update the filters by k segments; return differences (k + 1, m, 3) and covariances around them."""
         count, present = len(segments.end_ns), segments.present
         passed_s = np.diff(segments.end_ns, prepend=segments.end_ns[:1] if self._end_ns is None else self._end_ns)
         passed_s = passed_s[:, None] * 1e-9

@@ -157,9 +157,7 @@ def _errors(path: Path) -> tuple[Times, Floats]:
 
 
 def _bus_us(sensor: SensorConfig) -> float:
-    """Return the time of one burst of the chip in us, from the clocks of its bytes: BUS-07; on SPI, one byte more than
-    the data.
-    """
+    """Return the time of one burst in us, by the clocks of its bytes: BUS-07; on SPI, one byte more than the data."""
     size = sensor.spec.burst_bytes
     if sensor.on_spi:
         return 1e6 * 8 * (size + 1) / sensor.spi_rules.clock_hz

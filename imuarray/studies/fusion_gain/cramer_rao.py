@@ -80,9 +80,7 @@ class ErrorLaw:
 
 @dataclass(frozen=True)
 class StretchReadings:
-    """`frames` frames of one stretch in which the same axes `known` (m,) had a reading; `mean_si` (m,) is the mean of
-    their readings, if it is needed.
-    """
+    """`frames` of a stretch in which the axes `known` (m,) had a reading, and its mean `mean_si` (m,) if needed."""
 
     known: Booleans
     frames: int
@@ -208,9 +206,7 @@ OUTSIDE = tuple(name for name in EFFECTS if name not in _INSIDE)
 
 
 def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> Calibration:
-    """Return the true parameters of these units as a calibration: all parameters that are the same in every boot,
-    without error.
-    """
+    """Return the true parameters of these units as a calibration: all that is the same in every boot, without error."""
     inertial = {header.name: header for header in headers if header.quantity in INERTIAL}
     sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in inertial.items()}
     return Calibration(sensors, ("the simulated units' own parameters",))
@@ -349,9 +345,7 @@ class Posterior:
 
 
 def axes_known(part: Frames) -> Booleans:
-    """Return (n, m) whether an axis had a reading: it is valid, or it is beyond the range while another axis of the
-    triad is not.
-    """
+    """Return (n, m) whether an axis had a reading: it is valid, or beyond its range and another axis is not."""
     if part.clipped is None or not part.clipped.any():
         return part.valid
     triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)

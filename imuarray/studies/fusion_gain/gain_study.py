@@ -77,9 +77,7 @@ of Gyro1, Gyro2 and Gyro3, and its specific force that of all six accelerometers
 """
 
 RATE_HZ = 48.0
-"""Frames per second: approximately the rate of the paper's array. At exactly 50 Hz, the 50 Hz tone of the gyroscopes
-would be a constant.
-"""
+"""Frames per second, as of the paper's array; at exactly 50 Hz the gyroscopes' 50 Hz tone would be a constant."""
 
 TUMBLE_S, HEATING_S, BOOT_S = 300.0, 900.0, 30.0
 BOOTS = 12
@@ -87,9 +85,7 @@ _FIRST_BOOT = 1000
 """First boot number of the logs for calibration, larger than that of any log that is fused."""
 
 FAULTS = ("range_reset",)
-"""Effect that is never simulated: a unit that starts in another range is a fault to be detected, not an error to be
-averaged.
-"""
+"""Effect that is never simulated: another range at start-up is a fault to detect, not an error to average."""
 
 SLOPES = "measured"
 NO_SLOPES = "no slopes"
@@ -441,9 +437,7 @@ WORDS = {
 
 
 def render_text(study: Study) -> str:
-    """Return the results as text: the lengths of error vectors, one line for each technique that changes the result;
-    then the results of coasting.
-    """
+    """Return the results as text: error lengths, a line per technique that changes the result; then coasting."""
     return "".join(f"{line}\n" for line in _lines(study))
 
 

@@ -66,9 +66,7 @@ class HeatingErrors(NamedTuple):
 
 
 def simulate_heating(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
-    """Return one heating of the paper's array, fused with a calibration without slopes; techniques with the result of
-    the average are omitted.
-    """
+    """Return one heating of the paper's array, fused without slopes; techniques equal to the average are omitted."""
     experiment = EXPERIMENTS["heating"]
     motion = MOTIONS[experiment.motion](ExperimentOptions(seconds=seconds or experiment.seconds))
     results: dict[str, Floats] = {}
@@ -139,15 +137,11 @@ def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequen
 
 
 _BEYOND = 3.0
-"""Limit of an interval in multiples of the largest ratio. Longer intervals are cut off there, because an interval from
-few seeds can be very long.
-"""
+"""Limit of an interval in multiples of the largest ratio; intervals from few seeds can be very long."""
 
 
 _MOST_RATIO = 4.0
-"""Largest ratio that is drawn to scale. A larger one is drawn as an arrow with its value at the edge, because it would
-compress all others.
-"""
+"""Largest ratio that is drawn to scale; a larger one would compress all others and is an arrow with its value."""
 
 
 def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], colour: str) -> None:
@@ -161,9 +155,7 @@ def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], c
 
 
 def _furthest(ratios: Sequence[Ratio]) -> float:
-    """Return the right end of an axis that shows all ratios up to `_MOST_RATIO`, and their intervals up to
-    `_BEYOND`.
-    """
+    """Return the right end of an axis with all ratios up to `_MOST_RATIO`, and their intervals up to `_BEYOND`."""
     visible = [ratio for ratio in ratios if ratio.ratio <= _MOST_RATIO]
     largest = max((ratio.ratio for ratio in visible), default=1.0)
     ends = [min(ratio.high, _BEYOND * largest, _MOST_RATIO) for ratio in visible if np.isfinite(ratio.high)]
@@ -180,9 +172,7 @@ def _reach(ratios: Sequence[Ratio]) -> Floats:
 def heating_figure(
     time_s: Floats, curves: Mapping[str, Sequence[Floats]], temperature: tuple[Floats, Floats], unit: str
 ) -> Drawing:
-    """Draw ten-second means of the errors along box X, Y and Z of some techniques (three (n,) each), and the
-    temperature.
-    """
+    """Draw ten-second means of the errors along box X, Y and Z of techniques (three (n,) each), and the temperature."""
     figure = new_figure(9.0, 7.0)
     axes_column = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
     for axis, axes in enumerate(axes_column[:3]):

@@ -84,9 +84,7 @@ def variance_of_mean(window_s: float, time_constant_s: float = TIME_CONSTANT_S) 
 
 
 def covariance_of_means(windows_apart: int, window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
-    """Return the covariance of the means over two windows of which the second begins `windows_apart` >= 1 windows
-    later.
-    """
+    """Return the covariance of the means over two windows, `windows_apart` >= 1 windows from each other."""
     ratio = time_constant_s / window_s
     decay = exp(-1 / ratio)
     return ratio**2 * (1 - decay) ** 2 * decay ** (windows_apart - 1)
@@ -166,17 +164,13 @@ def unit_of(name: str) -> SensorUnit:
 
 
 def tone_dps() -> float:
-    """Return the amplitude of the line on the gyroscopes' y axis: `TONE_SHARE` of the variance that Table 9 gives at
-    250 dps.
-    """
+    """Return the amplitude of the line on the gyroscopes' y axis: `TONE_SHARE` of Table 9's variance at 250 dps."""
     row = next(row for row in table(9) if row["output"] == "Gyro1 y" and row["range"] == "250dps")
     return sqrt(2 * TONE_SHARE) * float(number_in(row, "std_dps"))
 
 
 def gyro3_other_state_lsb() -> Floats:
-    """Return the step from Gyro3's first state of Table 7 to its second, in counts; 8 of 15 runs started in the second
-    state.
-    """
+    """Return the step from Gyro3's first state of Table 7 to its second (8 of 15 runs), in counts."""
     first, second = bias_states()
     return np.asarray(np.array(second.centre) - np.array(first.centre))
 
@@ -219,9 +213,7 @@ def gyro1_bias_at_250dps() -> Floats:
 
 
 def high_rate_degc(range_name: str) -> float:
-    """Return the temperature of a high-rate experiment of Table 9 by Gyro1's own thermometer, which is the only one
-    that is printed.
-    """
+    """Return the temperature of a high-rate experiment of Table 9 by Gyro1's thermometer, the only one printed."""
     rows = [row for row in table(9) if row["output"] == "Gyro1 t"]
     row = rows[0] if range_name == "250dps" else rows[1]
     return _zero("Gyro1") - float(number_in(row, "mean_lsb"))
@@ -266,9 +258,7 @@ def _noise(name: str, design: str, lsb: float) -> Floats:
 
 
 def _in_run(name: str, slope: Floats) -> Floats:
-    """Return the rms of the in-run wander from Table 11's in-run deviation, after subtraction of white noise and the
-    drift with temperature.
-    """
+    """Return the rms of the in-run wander by Table 11's in-run deviation less white noise and thermal drift."""
     scatter = _column(11, name, "cont_std_of_means") ** 2 - _column(11, name, "cont_sem") ** 2
     remaining = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
     return np.asarray(np.sqrt(np.maximum(remaining, 0) / expected_scatter()))
@@ -283,9 +273,7 @@ def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
 
 
 def _run_variance(name: str) -> Floats:
-    """Return the variance of the runs' means: for BMA1 without its fault, for Gyro3 within its states, otherwise Table
-    11's column.
-    """
+    """Return the variance of the runs' means: BMA1 without its fault, Gyro3 within its states, else Table 11's."""
     if name == "BMA1":
         return np.asarray(np.delete(runs_of(name), [fault.run - 1 for fault in boot_faults()], axis=0).var(0, ddof=1))
     if name == "Gyro3":
@@ -309,9 +297,7 @@ def _thermometer_readings(name: str) -> list[tuple[float, float]]:
 
 
 def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
-    """Return (offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T by our
-    convention.
-    """
+    """Return (offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T (ours)."""
     readings = _thermometer_readings(name)
     if design == "Gyro":
         return 47.0 - _zero(name), rms_before_rounding(_code_variance(name, 1.0))
@@ -372,9 +358,7 @@ def about_zero(values: Floats, count: int) -> NormalPopulation:
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
-    """Yield (head, effects) of every [[design]] table: each chip at any range, then the effects that depend on the
-    range.
-    """
+    """Yield (head, effects) of every [[design]] table: each chip at any range, then effects that depend on it."""
     for design, chip in CHIP.items():
         group = [unit for unit in units() if unit.design == design]
         head: Table = {"chip": chip}
@@ -395,9 +379,7 @@ _POPULATION_EFFECTS = (
 
 
 def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, Table]:
-    """Return the effects that these units predict for other units of the design; effects that they do not have are
-    omitted.
-    """
+    """Return the effects that these units predict for other units of the design, without those they lack."""
     measured = [unit_effects(unit) for unit in group]
     design, first = group[0].design, measured[0]
     return {

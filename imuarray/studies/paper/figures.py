@@ -360,9 +360,7 @@ def gyro_memory_figure(observed: ExperimentData) -> Figure:
 
 
 def histogram_figure(observed: ExperimentData) -> Figure:
-    """Draw a figure like Figure 15: the number of readings of each code of Gyro1 x, at both ranges, and the normal
-    curve of that deviation.
-    """
+    """Draw a figure like Figure 15: readings per code of Gyro1 x at both ranges, and the normal curve."""
     figure, panels = _sheet(7.5, 5.0, 2, shared=False)
     for panel, (name, (label, _, colour)) in zip(panels, _RANGES.items(), strict=True):
         counts = observed.high_rate[name].counts[:, 0]
@@ -406,9 +404,7 @@ def _draw_allan(panel: Axes, counts: Counts, rate: float, scale: float, colours:
 
 
 def _finish_allan(panel: Axes, label: str) -> None:
-    """Set logarithmic scales and plain numbers, and draw a grey line of slope -1/2 below the curves: the slope of white
-    noise.
-    """
+    """Set logarithmic scales and plain numbers; draw a grey line of white noise's slope -1/2 below the curves."""
     from matplotlib.ticker import FuncFormatter
 
     points = [np.asarray(line.get_xydata(), float) for line in panel.get_lines()]

@@ -189,9 +189,7 @@ class PrintedNumber:
 
 
 def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[PrintedNumber]:
-    """Return every number of "Table 3": channel by channel, those that were only recomputed after those that were
-    simulated.
-    """
+    """Return every number of "Table 3"by channel, those that were only recomputed after the simulated ones."""
     cells = dict(_cells(name, recomputed))
     by_key = {(twin.channel, twin.statistic): twin for twin in twins}
     channels = list(dict.fromkeys(channel for channel, _ in (*by_key, *cells)))
@@ -231,9 +229,7 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
 
 
 def _in_digits(twin: Statistic) -> str:
-    """Return the text of a number that is in no table; a quotient of printed numbers has the digits that its
-    uncertainty allows.
-    """
+    """Return the text of a number that is in no table; a quotient has the digits that its uncertainty allows."""
     has_few_digits = _decimals(twin.published) <= _PRINTED_DECIMALS
     return plain(twin.published if has_few_digits else round(twin.published, _places(twin, "")))
 
@@ -297,9 +293,7 @@ def _places(twin: Statistic, printed: str) -> int:
 def table_sections(
     replica: Replica, observed: ExperimentData | None, recomputed: Recomputed, result: Mapping[str, Any]
 ) -> Iterator[Section]:
-    """Yield a section per table, with the figures that belong to it if there is `observed` data; `result` is
-    of `recompute()`.
-    """
+    """Yield a section per table with its figures if there is `observed` data; `result` is of `recompute()`."""
     further = further_words(result)
     for number, (title, words) in TABLE_WORDS.items():
         name = f"Table {number}"
@@ -459,9 +453,7 @@ has 95.4 %; known gaps of the model reduce this share.
 
 
 def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
-    """Return the share of the paper's numbers that the simulated array reproduces, and how many of its conclusions
-    hold.
-    """
+    """Return the share of the paper's numbers that the array reproduces, and how many of its conclusions hold."""
     whole = replica.summary
     agreeing = whole.within[1] / max(1, whole.count)
     holding, total = sum(statement["holds"] for statement in result["conclusions"]), len(result["conclusions"])

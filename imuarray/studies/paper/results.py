@@ -116,9 +116,7 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def render_text(result: dict[str, Any]) -> str:
-    """Return the matches by table, key numbers, slips and conclusions of a `recompute()` result, in lines of at most
-    100 columns.
-    """
+    """Return matches by table, key numbers, slips and conclusions of `recompute()`, at most 100 columns wide."""
     heading = ["The paper, recomputed from its own tables", *wrap(result["source"], _WIDTH)]
     parts = (heading, _matches(result), _key_numbers(result), _slips(result), _conclusions(result))
     return "\n".join(line for part in parts for line in (*part, "")).rstrip() + "\n"
@@ -223,9 +221,7 @@ def as_json(result: Mapping[str, Any]) -> str:
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows as CSV text with the columns of all rows in order of appearance; the items of a list are separated by
-    spaces.
-    """
+    """Return rows as CSV text with all columns in order of appearance; items of a list are separated by spaces."""
     columns = list(dict.fromkeys(column for row in rows for column in row))
     text = StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")

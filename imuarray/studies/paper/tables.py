@@ -196,9 +196,7 @@ def half_unit(value: Decimal) -> Decimal:
 
 
 def round_like(value: Decimal, printed: Decimal) -> Decimal:
-    """Return `value` with the decimals of `printed`; a tie is rounded to `printed` if that is one of the two. No
-    negative zero.
-    """
+    """Return `value` with the decimals of `printed`; a tie is rounded to `printed` if it is one of the two. No -0."""
     if abs(value - printed) <= half_unit(printed):
         return printed + 0
     return value.quantize(last_unit(printed)) + 0
@@ -212,9 +210,7 @@ def reach(formula: Formula, inputs: Sequence[Decimal]) -> Decimal:
 
 
 def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decimal]) -> Cell:
-    """Return the cell of `column` recomputed as `formula(inputs)`, to the digits that `row` prints there if they
-    agree.
-    """
+    """Return the cell of `column` recomputed as `formula(inputs)`, to the digits of `row` if they agree."""
     printed, value = Decimal(row[column]), formula(inputs)
     is_within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
     rounded = round_like(value, printed)

@@ -271,9 +271,7 @@ def principal_axis(points: Sequence[Point]) -> Point:
 
 
 def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the indices of the two groups, of two points at least, with the least squared scatter within (module
-    docstring).
-    """
+    """Return the indices of the two groups, of two points at least, with the least squared scatter within."""
     axis = principal_axis(points)
     order = sorted(range(len(points)), key=lambda i: _dot(points[i], axis))
     cuts = range(2, len(points) - 1)
@@ -289,9 +287,7 @@ def bias_states() -> tuple[TurnOnState, TurnOnState]:
 
 
 def separation(states: tuple[TurnOnState, TurnOnState]) -> float:
-    """Return the distance between two states' centres over the larger of their spreads (root sum of squares over the
-    axes).
-    """
+    """Return the distance between two states' centres over the larger of their spreads (root sum of squares)."""
     return dist(states[0].centre, states[1].centre) / max(hypot(*state.spread) for state in states)
 
 
@@ -375,9 +371,7 @@ class RangeNoise:
 
 
 def bma180_blend() -> RangeNoise:
-    """Return the noise of the BMA180 at both ranges, each the mean of six channels of Table 10 at the typical
-    sensitivity.
-    """
+    """Return the noise of the BMA180 at both ranges, each the mean of six channels of Table 10, typical sensitivity."""
     low, high = (
         mean([milli_g(row, number_in(row, "std_lsb")) for row in channels(10, "BMA", name)]) for name in ("1.5g", "16g")
     )
@@ -401,9 +395,7 @@ def plane_ratio(sensor: str, quantity: str) -> Decimal:
 
 
 def planes() -> list[dict[str, Any]]:
-    """Return the out-of-plane over in-plane ratio of every triad: noise, temperature slope, in-run and turn-on
-    variation.
-    """
+    """Return the out-of-plane over in-plane ratio of every triad: noise, slope, in-run and turn-on variation."""
     sensors = [row["sensor"] for row in table(1)]
     return [
         {"sensor": sensor, "design": design_of(sensor)}
@@ -427,9 +419,7 @@ def _row_rate(row: Row) -> Decimal:
 
 
 def table11_rates() -> tuple[Decimal, ...]:
-    """Return the logging rate in Hz that each inertial channel of Table 11 implies: separate runs, then the
-    continuous one.
-    """
+    """Return the logging rate in Hz that inertial channels of Table 11 imply: separate runs, then the continuous."""
     return tuple(
         rate_hz(number_in(row, f"{half}_std"), number_in(row, f"{half}_sem"), SAMPLE_SECONDS)
         for half in ("runs", "cont")
@@ -457,9 +447,7 @@ def _summary(rates: Sequence[Decimal]) -> dict[str, float]:
 
 
 def table10() -> tuple[RecomputedRow, ...]:
-    """Return Table 10 with each channel's implied logging rate and its noise in physical units (typical
-    sensitivity).
-    """
+    """Return Table 10 with each channel's implied logging rate and noise in physical units (typical sensitivity)."""
     rows = []
     for row in table(10):
         extra: dict[str, Any] = {"rate_hz": round(float(_row_rate(row)), 2)}
@@ -472,9 +460,7 @@ def table10() -> tuple[RecomputedRow, ...]:
 
 @dataclass(frozen=True)
 class ReadingCount:
-    """The number of readings that a column of standard errors admits, `least` to `most`, and the rate or duration that
-    follows.
-    """
+    """The number of readings that a column of standard errors admits, and the rate or duration that follows."""
 
     table: int
     log: str
@@ -506,9 +492,7 @@ class ReadingCount:
 
 
 def admitted(deviation: Decimal, standard_error: Decimal) -> tuple[Decimal, Decimal]:
-    """Return the smallest and largest number of readings for which both values could be printed as they are; the
-    standard error must not be 0.
-    """
+    """Return the least and most readings for which both values could be printed as they are, standard error not 0."""
     wide, narrow = half_unit(deviation), half_unit(standard_error)
     least, most = (deviation - wide) / (standard_error + narrow), (deviation + wide) / (standard_error - narrow)
     return least**2, most**2

@@ -173,9 +173,7 @@ def _per_channel(
 
 
 def accelerometer(row: Columns) -> Columns:
-    """Return Table 3's columns from a row of Table 10; the scale factor is without the sign that the paper assigns to
-    it.
-    """
+    """Return Table 3's columns from a row of Table 10; the scale factor is without the paper's sign."""
     faces = np.array([row[face] for face in READINGS])
     return {
         "drift_lsb": float(faces[0] - faces[6]),
@@ -218,9 +216,7 @@ def period(counts: npt.NDArray[np.int16], axis: int) -> int:
 
 
 def line_hz(counts: npt.NDArray[np.int16], axis: int) -> float:
-    """Return the frequency of the line between 40 and 60 Hz in an axis' spectrum (Figure 14), nan if no density there
-    exceeds ten times the median.
-    """
+    """Return the line between 40 and 60 Hz in a spectrum (Figure 14), nan if below ten times the median density."""
     hz, power = signal.welch(counts[:, axis].astype(float), HIGH_RATE_HZ, nperseg=2048)
     near = (hz >= _AROUND_HZ[0]) & (hz <= _AROUND_HZ[1])
     top = int(np.argmax(np.where(near, power, 0)))
@@ -241,9 +237,7 @@ def compare_faces(ten: Table) -> Iterator[Statistic]:
 
 
 def compare_accelerometers(three: Table) -> Iterator[Statistic]:
-    """Table 3, without the bias once more in mg; scale factors are without their sign, which is an artefact of the
-    paper's formula.
-    """
+    """Table 3, without the bias once more in mg; scale factors lack their sign, an artefact of the formula."""
     for row in table(3):
         channel = row["channel"]
         wander, sem = _wander(channel), printed(10, channel, "sem_lsb")
@@ -433,9 +427,7 @@ DPS_AT_250 = 0.00875
 _AROUND = 1 / sqrt(3)
 _HALF_A_DIGIT = 0.5 / sqrt(3)
 _FAST_NOISE = sqrt(110 / 35 * 1.4 / 0.6)
-"""Noise of the mean at 110 Hz divided by that of the same number of independent readings at 35 Hz; neighbouring
-readings correlate by 0.4.
-"""
+"""Noise of the mean at 110 Hz over that of as many independent readings at 35 Hz; neighbours correlate by 0.4."""
 _A3_STDS = {"x": 8.0201, "y": 9.8857, "z": 9.3002}
 """Appendix A.3: standard deviations in LSB of a BMA180 at 16 g; the paper does not state which unit."""
 

@@ -271,9 +271,7 @@ def _faces(seed: int, boot: int) -> dict[str, list[Window]]:
 
 
 def _parts(seed: int, boot: int) -> tuple[dict[str, list[Window]], dict[str, Series]]:
-    """Return fifteen consecutive windows, and the stored readings. A linear drift by d per window has a standard
-    deviation of d sqrt(15 16 / 12).
-    """
+    """Return fifteen successive windows, and all readings. A drift of d per window has a rms of d sqrt(15 16 / 12)."""
     drift = DEGC[11, "cont_std_of_means"] / np.sqrt(PARTS * (PARTS + 1) / 12)
     start = DEGC[11, "cont_mean"] - drift * PARTS / 2
     motion = Still("+Z", PARTS * WINDOW_S, float(start), drift_degc_per_h=float(drift) * 3600 / WINDOW_S)

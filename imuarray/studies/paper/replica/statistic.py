@@ -115,9 +115,7 @@ def face_residual(channel: str) -> float:
 
 @cache
 def noise_residual(channel: str) -> float:
-    """Return the root mean square of ln(standard deviation / its quadratic mean) in Tables 10 and 11 (three
-    experiments).
-    """
+    """Return the root mean square of ln(deviation / its quadratic mean) in Tables 10 and 11 (three experiments)."""
     squares = []
     for member in group_of(channel):
         variances = np.array([printed(number, member, column) ** 2 for number, column in STDS])
@@ -127,9 +125,7 @@ def noise_residual(channel: str) -> float:
 
 @cache
 def thermometer_residual(channel: str) -> float:
-    """Return the root mean square deviation, in codes, of a thermometer's means in three experiments from a constant
-    offset.
-    """
+    """Return the rms deviation, in codes, of a thermometer's means in three experiments from a constant offset."""
     return sqrt(np.mean([levels(member).var() for member in group_of(channel)]))
 
 
@@ -163,9 +159,7 @@ def part_windows(channel: str) -> Floats:
 
 
 def run_steps(channel: str) -> float:
-    """Return the part of the variance of the runs' means that is the same in every series: states, the faulty run,
-    temperature.
-    """
+    """Return the part of the variance of the runs' means that every series has: states, the faulty run, temperature."""
     name, axis = channel.split()[0], axis_of(channel)
     steady = (slope(channel) * DEGC[11, "runs_std_of_means"]) ** 2
     if axis == 3:
@@ -259,9 +253,7 @@ def linear(
     fitted: bool = False,
     derived: bool = False,
 ) -> Statistic:
-    """Return a statistic that is compared without a logarithm. `at` is (table, channel, statistic); `parts` are those
-    of its uncertainty, by cause.
-    """
+    """Return a statistic compared without logarithm, `at` (table, channel, statistic), uncertainty `parts` by cause."""
     return Statistic(*at, published, simulated, *combine(parts), fitted=fitted, derived=derived)
 
 
@@ -333,9 +325,7 @@ class Replica:
 
     @property
     def kinds(self) -> dict[str, AgreementSummary]:
-        """The summaries of the statistics that the model was "fitted to" and that it "foretold", and of "axes" and
-        "thermometers".
-        """
+        """Summaries of what the model was "fitted to" and what it "foretold", and of "axes" and "thermometers"."""
         kinds: dict[str, list[Statistic]] = {"fitted to": [], "foretold": [], "axes": [], "thermometers": []}
         for row in self.statistics:
             kinds["fitted to" if row.fitted else "foretold"].append(row)
@@ -372,9 +362,7 @@ _WIDTH = 100
 
 
 def render_text(replica: Replica) -> str:
-    """Render the comparison as text: table by table, all together, and every statistic more than three uncertainties
-    off.
-    """
+    """Render the comparison as text: table by table, all together, and those more than three uncertainties off."""
     return "\n".join((*_tables(replica), "", *_together(replica), "", *_beyond(replica))) + "\n"
 
 
