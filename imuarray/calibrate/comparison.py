@@ -285,9 +285,7 @@ def _opposed(
 
 
 def _chance_of_correlation(correlation: float, freedom: int) -> float:
-    """Return the probability of a correlation at least as large by chance, by Student's t with one degree of freedom
-    less than the changes have; nan for two calibrations, because their changes always correlate fully.
-    """
+    """Return the probability of such a correlation by chance, by Student's t; nan for two calibrations (always 1)."""
     if freedom < 2 or not np.isfinite(correlation):
         return float("nan")
     t = correlation * np.sqrt((freedom - 1) / max(1 - correlation**2, 1e-300))

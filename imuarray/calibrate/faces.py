@@ -78,9 +78,7 @@ def axes_text(rows: Floats) -> str:
 
 
 def _common_rotation(labels: Indices, measured: Indices) -> Floats | None:
-    """Return the signed permutation (3, 3) that maps the labelled direction of every face to the measured one; None if
-    no such permutation exists, or if fewer than six faces do not determine it.
-    """
+    """Return the signed permutation (3, 3) from labelled to measured directions; None unless six faces determine it."""
     if len(np.unique(labels)) < len(UP_AXES):
         return None
     turn = np.array([_UPS[measured[np.flatnonzero(labels == up)[0]]] for up in (0, 2, 4)]).T

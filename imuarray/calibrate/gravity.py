@@ -203,9 +203,7 @@ def turn_into_box_frame(bundle: Bundle, orientations: Floats) -> BoxFrameFit:
 
 
 def _turned_by(rows: Floats, stacked: Floats, p: int) -> tuple[Floats, Floats]:
-    """Return the derivative (a p, 3) of the coefficients by a common rotation, and the rotation (3, a p) that keeps the
-    mean response symmetric if the coefficients change.
-    """
+    """Return the derivative (a p, 3) by a common rotation, and the rotation (3, a p) that keeps the mean symmetric."""
     axes = len(rows)
     free = np.zeros((axes, p, 3))
     free[:, :3] = np.cross(np.eye(3)[None], rows[:, None, :]).transpose(0, 2, 1)  # column j: e_j x row
@@ -390,9 +388,7 @@ def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Outlier]) -> N
 
 @dataclass(frozen=True)
 class _JointFit:
-    """Fit `bundle` of all axes (a = 3 s) in all poses (k) to `values` (a, k) in g; the scatter `beyond` noise (a,);
-    chi-squared and degrees of freedom (a,) by noise alone.
-    """
+    """Fit `bundle` to `values` (a, k) in g: the scatter `beyond` noise (a,), chi-squared and freedom (a,) by noise."""
 
     readings: PoseReadings
     values: Floats

@@ -100,9 +100,7 @@ def _knock(windows: RestWindows, before: Indices, after: Indices, quiet: float, 
 
 
 def _error_of_means(mean: Floats, rests: Sequence[Indices]) -> float:
-    """Return the standard error of the difference of two means over `_NEIGHBOURS` windows, for the worst axis, from the
-    differences of neighbouring windows (1.48 times the median: the standard deviation of normal numbers).
-    """
+    """Return the standard error of a difference of means over `_NEIGHBOURS` windows, by neighbours' median change."""
     changes = np.concatenate([np.abs(np.diff(mean[run], axis=0)) for run in rests])
     return float(1.48 * np.median(changes, axis=0).max() / np.sqrt(_NEIGHBOURS))
 

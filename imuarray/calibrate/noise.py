@@ -91,9 +91,7 @@ def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None
 
 
 class _Grid(NamedTuple):
-    """Log likelihood (t, u, k) of k axes for time constants (t,) and ratios (u, k) of the drift's rms to the noise of a
-    mean; `noise` (t, u, k) is the most likely rms of that noise.
-    """
+    """Log likelihood (t, u, k) of k axes for time constants (t,), ratios (u, k) of drift to noise, and that `noise`."""
 
     times: Floats
     ratios: Floats
@@ -168,9 +166,7 @@ def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ra
 
 
 class _LikelihoodSums(NamedTuple):
-    """Sums over a stretch, each divided by the variance: squared innovations of the means (`values`), those of a
-    constant 1 (`ones`), their products (`mixed`), and the logarithms of the variance.
-    """
+    """Sums over a stretch over variance: squared innovations of means and of a constant 1, products, log variance."""
 
     values: Floats
     ones: Floats
@@ -179,9 +175,7 @@ class _LikelihoodSums(NamedTuple):
 
 
 def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _LikelihoodSums:
-    """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it. Compiled
-    code goes from point to point of the grid; without it, all points are filtered at once.
-    """
+    """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
     steps = np.diff(part.time_s, append=np.inf)
     compiled = drift_sums(part.mean, np.exp(-steps[:, None] / times.ravel()), shared, noise)
     if compiled is not None:
@@ -327,9 +321,7 @@ def _calibrated(
     false_alarm: float | None,
     progress: Callable[[str, int, int], None],
 ) -> Calibration:
-    """Do what `calibrate_noise` does; `false_alarm` is the probability that a line is reported on any axis of a log
-    without lines, None if lines are not searched for.
-    """
+    """Do what `calibrate_noise` does; `false_alarm` is the probability of a false line, None for no search."""
     for log in logs:
         log.keep_rows()
     poses = [pose for log in logs for pose in _still_stretches(log)]

@@ -146,9 +146,7 @@ def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Poi
 
 
 def _rotation(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
-    """Return the rotation (3, 3) in the sensor's frame of a vector that is fixed in the world, from one pose to the
-    next; None if the rates can't be integrated.
-    """
+    """Return the rotation (3, 3) of a fixed vector between poses, in the sensor's frame; None without usable rates."""
     from scipy.spatial.transform import Rotation  # slow to import
 
     if first.log is not second.log:
@@ -189,9 +187,7 @@ def _box_rotations(
 
 
 def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], rotations: Sequence[Floats | None]) -> Pointing:
-    """Determine the axes of a magnetometer by a field that is fixed in the world and an offset of the sensor, over the
-    longest run of poses with known rotations between them.
-    """
+    """Determine a magnetometer's axes by a fixed field and an offset, over the longest run of known rotations."""
     runs: list[list[tuple[int, Floats]]] = [[(0, np.eye(3))]]
     for index, rotation in enumerate(rotations, start=1):
         if rotation is None:

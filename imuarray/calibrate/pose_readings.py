@@ -308,9 +308,7 @@ def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
 
 
 def _turning(rate_dps: Floats, std_dps: Floats, still: npt.NDArray[np.bool_], rows: float) -> npt.NDArray[np.bool_]:
-    """Return (w,) whether the box turns in a window of `rows` rows: the gyroscopes' mean differs from the median of the
-    `still` ones. A window without readings of a gyroscope counts as still.
-    """
+    """Return (w,) whether the box turns: the rate differs from the `still` median. Windows without rates are still."""
     usual = np.median(rate_dps[still], axis=0)
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
     deviation = np.abs(rate_dps - usual).max(axis=1)

@@ -220,9 +220,7 @@ def _updated(
 
 
 def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats:
-    """Return the covariance (9, 9) of a response by errors of the references' responses. The error of the rate, the
-    references' mean, is E rate_box with E the mean of their relative errors, and that of the response is response @ E.
-    """
+    """Return the covariance (9, 9) of a response by errors E of the references' responses: those of response @ E."""
     errors = np.zeros((9, 9))
     for _, calibrated in references:
         covariance = _covariance(calibrated)

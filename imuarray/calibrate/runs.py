@@ -322,9 +322,7 @@ def _segments(sensor: SensorLog, rows: slice) -> SegmentMeans | None:
 
 
 def _temperature(log: Log, sensor: SensorLog, run: SegmentMeans | None) -> tuple[str, float]:
-    """Return the kind of thermometer, and the mean temperature over a run in degC; ("", nan) for a run without
-    readings, ("none", nan) without a thermometer.
-    """
+    """Return the kind of thermometer and a run's mean degC; ("", nan) without readings, ("none", nan) without one."""
     if run is None:
         return "", float("nan")
     thermometer = thermometer_of(log, sensor, 1.0)

@@ -128,9 +128,7 @@ def in_states(starts: Mapping[str, StartUp], calibration: Calibration) -> Calibr
 
 
 def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
-    """Return a gyroscope's bias in one state: the calibrated bias plus the difference of this state and the state that
-    is nearest to it; the state's own bias if none was calibrated.
-    """
+    """Return a gyroscope's bias in one state: the calibrated one plus this state less the state nearest to it."""
     biases = np.array([item.bias_lsb for item in turn_on.states])
     if sensor.bias_sem_lsb is None:
         return np.asarray(biases[state])

@@ -164,9 +164,7 @@ def _estimator(design: Floats, spectrum: Floats) -> Floats:
 
 
 def _scaled(rows: Floats, series: Floats, design: Floats, spectrum: Floats) -> tuple[Floats, Floats]:
-    """Return the variance (k,) of the linear estimates ``rows @ series``, scaled by the residuals of the cosines that
-    contribute to each, and its degrees of freedom (k,).
-    """
+    """Return variance and freedom (k,) of the estimates ``rows @ series``, by the residuals of contributing cosines."""
     estimate = _estimator(design, spectrum)
     residuals = (series - design @ (estimate @ series)) ** 2 / spectrum
     free = 1 - np.einsum("ki,ik->k", design, estimate)
@@ -194,9 +192,7 @@ _CURVED = 1e-3
 """Significance level of a reported quadratic term."""
 
 _STRAIGHT = 1e-6
-"""Least share of the variance of squared temperatures that is not linear in temperature and time; below it (two levels,
-for example) no curvature is fitted.
-"""
+"""Least share of squared temperature that is not linear in temperature and time for a curvature to be fitted."""
 
 
 @dataclass(frozen=True)
@@ -452,9 +448,7 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
 def _heatings(
     sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float
 ) -> list[HeatingFit]:
-    """Fit the sensor in every log, with the middle of the first log's temperatures as reference: the slope of a
-    parabola there is the mean slope over the range, wherever the box spent most of its time.
-    """
+    """Fit the sensor in every log, about the middle of the first log's temperatures, where slopes are mean slopes."""
     results: list[HeatingFit] = []
     for log, up in zip(logs, ups, strict=True):
         sensor_of_log = sensor_in(log, sensor)

@@ -211,9 +211,7 @@ def _delays(gyroscopes: Sequence[SensorLog], start_ns: int) -> dict[str, tuple[f
 
 
 def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Floats]:
-    """Times (n,) in s after `start_ns`, without the known filter delay, and rates (n, 3) in the box frame and the
-    sensor's unit by its nominal sensitivity; nan where a row is flagged as saturated, stale or suspect.
-    """
+    """Times (n,) in s after `start_ns` less the delay, and box rates (n, 3) in the sensor's unit; nan if flagged."""
     rows = gyroscope.between(start_ns, end_ns)
     times_s = (np.asarray(gyroscope.time[rows], np.int64) - start_ns - gyroscope.delay_ns) * 1e-9
     rates = np.asarray(gyroscope.counts[rows], float) / gyroscope.sensitivity @ gyroscope.orientation.T
@@ -222,9 +220,7 @@ def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Fl
 
 
 def _is_strong(times_s: Floats, rates: Floats) -> bool:
-    """Return whether the motion is strong enough compared with the noise; the variance of the fourth differences of
-    noise is 70 times that of the noise.
-    """
+    """Return whether the motion exceeds the noise; fourth differences of noise have 70 times its variance."""
     noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / MEDIAN_ABSOLUTE / math.sqrt(70)
     derivative = np.gradient(rates, times_s, axis=0)
     step_s = float(np.median(np.diff(times_s)))

@@ -285,9 +285,7 @@ def make_curve(
 
 
 def _pooled_freedom(noise: Noise, factor: int, number: Sequence[int], terms: Sequence[int], stride: int) -> float:
-    """Return the degrees of freedom of the mean over all runs: `number` of runs have `terms` terms each. Variances of
-    runs are independent and are weighted by their number of terms.
-    """
+    """Return the degrees of freedom of the mean over `number` runs of `terms` terms each, which are independent."""
     used = [(count, size) for count, size in zip(number, terms, strict=True) if size > 0]
     total = sum(count * size for count, size in used)
     return total**2 / sum(count * size**2 / degrees_of_freedom(noise, factor, size, stride) for count, size in used)

@@ -210,9 +210,7 @@ _CONVERGED = 1e-6
 
 
 class _RunWeights(NamedTuple):
-    """Runs of `rows` rows: the `factors` at which they have terms, their `places` in a matrix over all factors, and the
-    shares in its entries of all these runs together.
-    """
+    """Runs of `rows` rows: `factors` with terms, `places` in a matrix over all factors, and shares in its entries."""
 
     rows: int
     factors: tuple[int, ...]

@@ -118,9 +118,7 @@ def _boxes(density: Floats, freedom: float) -> list[_Box]:
 
 
 def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:
-    """Return the higher of the medians of the sides of each box (b,), inf where a side does not fit into the spectrum,
-    and the number of bins of the shorter side.
-    """
+    """Return the higher of the medians of a box's sides (b,), inf beyond the spectrum, and the shorter side's bins."""
     span = _SIDE * width
     floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
     windows = sliding_window_view(density, span)

@@ -311,9 +311,7 @@ def find_rails(sensor: SensorLog) -> Rails:
 
 
 def _at_end(distribution: Histogram, side: int, nominal: int, new_share: float) -> bool | None:
-    """Return whether the last code on a side is a rail; None if that depends on whether the box moved. `new_share` of
-    the rows are readings of their own, and the others repeat them.
-    """
+    """Return whether a side's last code is a rail; None if that depends on motion. `new_share` of rows are new."""
     code = int(distribution.codes[-1 if side > 0 else 0])
     distance = side * code
     if 0 < nominal - NOMINAL <= distance <= nominal:
@@ -325,9 +323,7 @@ def _at_end(distribution: Histogram, side: int, nominal: int, new_share: float) 
 
 
 def _is_pile(distribution: Histogram, side: int, share: float, new_share: float) -> bool:
-    """Return whether the last code on a side is significantly more frequent than the `share` of its readings and those
-    of the codes before it allows; `new_share` of its rows are readings of their own.
-    """
+    """Return whether a side's last code is too frequent for its `share` and the codes before; `new_share` are new."""
     code = int(distribution.codes[-1 if side > 0 else 0])
     count = int(new_share * distribution.counts[-1 if side > 0 else 0])
     step = usual_step(distribution)

@@ -47,9 +47,7 @@ Place = tuple[str, str]
 
 @dataclass(frozen=True)
 class _Remark:
-    """A sentence about an axis of a sensor ("": about the sensor), with a field of `str.format` for each of the
-    `numbers`, which are already formatted and are sorted by `values`.
-    """
+    """A sentence about an axis ("": the sensor) with a field for each formatted of `numbers`, sorted by `values`."""
 
     place: Place
     sentence: str

@@ -59,9 +59,7 @@ _SHARE = 0.4
 """Largest width of a side as a share of the frequency, so that the bend of a filter's corner is resolved."""
 
 _SIGNS = ((0, 1.0), (1, 0.293), (2, 0.018))
-"""Hann-windowed bins correlate by 4/9 and 1/36 in power, and the signs of their differences from the median by 2 / pi
-arcsin of that. Lag in bins, correlation of signs.
-"""
+"""Lag in bins, and correlation of signs about the median of Hann-windowed bins: 2 / pi arcsin(4/9 and 1/36)."""
 
 _EXTREMES = (0.16, 0.84)
 
@@ -94,9 +92,7 @@ class NoiseFloor:
 
 @lru_cache(maxsize=16)
 def _ratio_above(above: bytes, below: bytes, probability: float) -> Floats:
-    """Return the read-only ratio (b,) that noise exceeds with `probability`; degrees of freedom `above` and `below`
-    (b,) as bytes of float64. They are the same for all windows of one length.
-    """
+    """Return the read-only ratio (b,) that noise exceeds with `probability`; keys are bytes, one set per length."""
     # Few pairs are different, and each takes long to compute; complex numbers are sorted faster than columns.
     pairs, pair_of_bin = np.unique(np.frombuffer(above) + 1j * np.frombuffer(below), return_inverse=True)
     result = np.asarray(fdtri(pairs.real, pairs.imag, 1 - probability)[pair_of_bin.reshape(-1)])
@@ -146,9 +142,7 @@ def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
 
 
 class _Neighbourhoods(NamedTuple):
-    """Neighbours of some of the bins: their number on either side (w,), the indices of the bins (w,), the first
-    neighbour below and above (w,), and the position of the bin between their means over log frequency (w,), 0 to 1.
-    """
+    """Neighbours of bins: count per side, bins, first ones below and above, place between them 0 to 1, all (w,)."""
 
     side: Indices
     which: Indices
@@ -159,9 +153,7 @@ class _Neighbourhoods(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods]:
-    """Return the neighbours of the bins (their bytes) in two groups: bins with fewer neighbours than the others, and
-    the rest, whose medians have the same number of values.
-    """
+    """Return the neighbours of the bins (their bytes): first those with fewer neighbours, then the rest."""
     places = np.frombuffer(bins, np.intp)
     logs = np.log(np.arange(1, length + 1))  # of every bin number from 1 on
     sides = _sides(places, last)
@@ -183,9 +175,7 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
 
 
 def _median(height: Floats, first: Indices, side: Indices) -> Floats:
-    """Return the medians (b,) of `side` (b,), or (1,) for all, finite heights each from `first` (b,) on. Sorting takes
-    a sixth of the time of `numpy.median`.
-    """
+    """Return the medians (b,) of `side` (b,) or (1,) finite heights from `first` (b,) on, by sorting."""
     compiled = window_medians(height, first, side)
     if compiled is not None:
         return compiled
@@ -227,9 +217,7 @@ def _variance(freedom: float, first: int, last: int) -> Floats:
 
 @cache
 def _share_of_one(side: int) -> float:
-    """Return the variance of the log of the floor relative to that of one bin, as for means with the weights of all
-    three steps. Twice the weight of the bin itself is subtracted, because the bin is part of its floor.
-    """
+    """Return the variance of the floor's log over that of one bin, by three steps of weights, without the bin's own."""
     window = np.concatenate([np.ones(side), np.zeros(2 * _GUARD + 1), np.ones(side)]) / (2 * side)
     half = side // 2
     trend = np.convolve(window, np.full(2 * half + 1, 1 / (2 * half + 1)))

@@ -58,9 +58,7 @@ that shows resampling: the noise then varies with the phase between two rates. O
 """
 
 _LINE = 20.0
-"""A fifth of the power, in medians of the bins near it, from which on a line of the readings themselves explains a line
-at twice its frequency in the squared second differences.
-"""
+"""A fifth of the power, over the bins nearby, from which a line explains one at twice its frequency."""
 
 HELD = 0.15
 """Share of repeated values on each axis above which repetition is not due to chance, in noise of many counts."""
@@ -143,9 +141,7 @@ def _middle_rows(sensor: SensorLog) -> tuple[Floats, Booleans, float]:
 
 
 def _share_of_held_axes(windows: Floats) -> float:
-    """Return the share of values that repeat the one before on single axes, beyond chance; 0 if all axes repeat
-    together, as they do when a reading is read twice.
-    """
+    """Return the share of values that repeat on single axes, beyond chance; 0 if all axes repeat together."""
     same = np.diff(windows, axis=1) == 0
     shares = same.mean(axis=(0, 1))
     steps = np.diff(windows, axis=1)
@@ -230,17 +226,13 @@ _OCTAVE_BELOW_END = 0.42
 
 
 def _octave_above(cutoff: float) -> float:
-    """Return the density an octave above a cutoff (relative to half the rate) below which a filter has a higher order
-    than `CHIP_ORDER`: that of a Butterworth filter by the bilinear transform, with frequencies tan(pi f / rate).
-    """
+    """Return the density an octave above a cutoff below which a filter exceeds `CHIP_ORDER` (Butterworth, bilinear)."""
     ratio = math.tan(math.pi * cutoff) / math.tan(math.pi * cutoff / 2)
     return _BEYOND_ORDER / (1 + ratio ** (2 * CHIP_ORDER))
 
 
 def _beat_hz(values: Floats, rate_hz: float) -> float:
-    """Return the frequency at which the level of the noise of all axes varies, as it does in readings that were
-    interpolated from another rate; 0 without one.
-    """
+    """Return the frequency at which the noise level of all axes varies, as after interpolation; 0 without one."""
     bends = np.diff(values, n=2, axis=0)
     scale = np.abs(bends).mean(axis=0)
     if (scale == 0).any():

@@ -77,9 +77,7 @@ def find_rate_changes(sensor: SensorLog) -> tuple[SteadyRun, ...]:
 
 
 def _intervals_s(sensor: SensorLog, edges: Indices, piece_rows: int) -> Floats:
-    """Return the median of the intervals in each of consecutive pieces that begin at rows `edges` (k,), and the mean of
-    those that are not gaps, in s: (k, 2).
-    """
+    """Return the median interval in pieces from rows `edges` (k,), and the mean without gaps, in s: (k, 2)."""
     times = np.asarray(sensor.time[int(edges[0]) : int(edges[-1]) + piece_rows + 1], np.int64)
     intervals = (np.diff(times).astype(float) * 1e-9).reshape(len(edges), piece_rows)
     medians = np.median(intervals, axis=1)

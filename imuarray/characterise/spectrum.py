@@ -255,9 +255,7 @@ def segment_rows(run_rows: int) -> int:
 
 
 _SLOW_SHARE = 1 / 128
-"""Decimation factor, relative to the rows of a segment of the other spectrum. Such a segment is 128 decimated rows
-long, so that its bins up to the 24th are below a fifth of the decimated rate.
-"""
+"""Decimation factor over the rows of another segment, for 128 rows each and 24 bins below a fifth of the rate."""
 
 _SLOW_SEGMENTS = 5
 

@@ -254,9 +254,7 @@ def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floa
 
 
 def _spline(knots: Floats, rows: Floats) -> CubicSpline:
-    """Return the cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either
-    side of the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV).
-    """
+    """Return the "not a knot" cubic spline of rows (k, c) at knots (k,), k > 1 (de Boor, Splines, 1978, chapter IV)."""
     from scipy.interpolate import CubicSpline  # would add a third of a second to every command
 
     return CubicSpline(knots, rows)
@@ -389,9 +387,7 @@ def _set_on_grid(
 
 
 def _keep_in_nearest_frames(readings: Readings, grid: Times) -> None:
-    """Keep each reading of one sensor in the nearest frame only. Where frames are not regular, a reading may lie within
-    half a frame of two of them, and would count twice.
-    """
+    """Keep each reading in the nearest frame only: irregular frames may have it within half a frame of two of them."""
     late_ns, valid = readings.late_s * 1e9, readings.valid
     shared = np.flatnonzero(valid[1:] & valid[:-1] & (np.abs(np.diff(late_ns) + np.diff(grid)) < 0.5))
     if len(shared):

@@ -270,9 +270,7 @@ def _track_of(log: Log) -> Track:
 def _errors_in(
     track: Track, stretches: Sequence[tuple[int, int]], together: Mapping[str, FusedBlock]
 ) -> Iterator[tuple[str, str, ErrorFrames]]:
-    """Yield technique, quantity and the frames with an error, of one block of each technique, inside the `stretches`
-    (start and end in ns; empty: everywhere).
-    """
+    """Yield technique, quantity and frames with an error in `stretches` (start and end in ns; empty: everywhere)."""
     time = next(iter(together.values())).time
     inside = np.ones(len(time), bool)
     if stretches:
@@ -419,9 +417,7 @@ def _named(path: Path | None, name: str) -> Path | None:
 
 
 def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:
-    """Return the truth (n, 3) at `time` by quantity, for the quantities of the track, by a cubic spline through its
-    rows: a straight line would not follow a shaken box between rows.
-    """
+    """Return the truth (n, 3) at `time` by quantity, by a cubic spline that follows a shaken box between rows."""
     columns = {"specific_force": track.specific_force, "angular_rate": track.angular_rate}
     measured = {quantity: column for quantity in quantities if (column := columns[quantity]) is not None}
     first = max(0, first_at(track.time, int(time[0])) - _MARGIN)

@@ -270,9 +270,7 @@ _SLACK_BYTES = 1 << 18
 """Bytes that HDF5 buffers or adds: a chunk of each column, and the index of the chunks."""
 
 _COMPRESSED: Mapping[str, Any] = MappingProxyType({"compression": "gzip", "compression_opts": 1, "shuffle": True})
-"""Storage of columns except triads: half of the bits of these are noise, and their compression would take a fifth of
-the time of a fusion to save a fifth of the space.
-"""
+"""Storage of columns except triads, whose noise hardly compresses: a fifth of the time to save a fifth of space."""
 
 _AT_ONCE = 1 << 14
 """Number of frames that are written at once, four chunks: a chunk that is written in parts is compressed repeatedly."""

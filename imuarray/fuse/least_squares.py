@@ -66,9 +66,7 @@ def _pairs(triads: Floats) -> Floats:
 
 
 _FIRST, _SECOND = [0, 1, 2, 3, 5, 10, 15, 6, 7, 11], [0, 4, 8, 12, 5, 10, 15, 9, 13, 14]
-"""Positions of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ among the 16 products of (1, X, Y, Z) with each other, and positions
-of the same products with the factors exchanged.
-"""
+"""Positions of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ among the 16 products of (1, X, Y, Z), in both orders."""
 
 _TWICE = np.array([0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 """1 for products of two different factors, which occur twice, else 0."""

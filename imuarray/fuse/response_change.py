@@ -58,9 +58,7 @@ _EXCITED = 1000.0
 """Least variance of the stimulus along a direction over its noise, which hides changes in slower motions."""
 
 _OUTLIER_SIGMAS, _OUTLIER_SHARE = 6.0, 0.05
-"""Limit of the parities of a window, as a multiple of their noise plus a share of the stimulus: windows above it
-contain a fault and not a change of the response.
-"""
+"""Limit of a window's parities in sigmas plus a share of the stimulus; above it is a fault, not a changed response."""
 
 _TAIL = 4.0
 """Degrees of freedom of the prior of a change, a Student's t with the standard deviation `RESPONSE_CHANGE`."""
@@ -147,9 +145,7 @@ def _estimate_change(sensors: Sequence[Calibrated], stretches: Sequence[_Windows
 
 
 class _Geometry(NamedTuple):
-    """Matrices of m axes: `parity` (m - 3, m) and `gain` (3, m) of weighted least squares, from readings in SI, and
-    the covariance (3, 3) of the triad, for parities with noise of unit variance.
-    """
+    """Matrices of m axes: `parity` (m - 3, m), `gain` (3, m) of weighted least squares, and the triad's covariance."""
 
     parity: Floats
     gain: Floats
@@ -228,9 +224,7 @@ def _stretches(known: Sequence[Calibrated]) -> Iterator[_Windows]:
 
 
 _SLOW_RATE = 0.1
-"""Largest angular rate in rad/s, in a window and in its neighbours, at which accelerometers that are some centimetres
-apart differ by less than a ten-thousandth of gravity.
-"""
+"""Largest angular rate in rad/s at which centimetres between accelerometers matter by less than 1e-4 of gravity."""
 
 _FEWEST_OF_STRETCH = 20
 """Least number of windows of a part of the log that is used."""

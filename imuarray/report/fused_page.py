@@ -167,9 +167,7 @@ def _means(rows: Floats, first: Indices) -> Floats:
 
 
 def _quiet_error(variances: Floats) -> Floats:
-    """Return the lower quartile (3,) of the claimed errors, to compare with the scatter at rest: in motion, the claim
-    includes the effect of uncertain times.
-    """
+    """Return the lower quartile (3,) of the claimed errors, as at rest: in motion, uncertain times add to them."""
     finite = variances[np.isfinite(variances).all(axis=1)]
     quartile = np.quantile(finite, 0.25, axis=0) if len(finite) else np.full(3, np.nan)
     return np.asarray(np.sqrt(np.maximum(quartile, 0.0)))

@@ -50,9 +50,7 @@ _LAB = np.array(
         [0.0259040371, 0.7827717662, -0.8086757660],
     ]
 )
-"""Matrices from linear sRGB to the response of the cones, and from its cube root to OKLab (B. Ottosson, A perceptual
-color space for image processing, 2020).
-"""
+"""Matrices from linear sRGB to cones, and from its cube root to OKLab (B. Ottosson, 2020)."""
 
 _COLOUR = re.compile(r"(?<=[:\s])#[0-9a-f]{6}\b")
 _STYLED = re.compile(r'style="[^"]*"')

@@ -242,9 +242,7 @@ def _period_ns(sensor: SensorLog) -> float:
 def _envelope(
     time: Times, values: Floats, first: npt.NDArray[np.intp], breaks: npt.NDArray[np.intp]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return times in s and the least and greatest values of the stretches that begin at the rows `first` and `breaks`,
-    with a row of nan before each of `breaks`.
-    """
+    """Return times in s, least and greatest values of stretches from rows `first`, nan before each of `breaks`."""
     first = np.union1d(first, breaks)
     last = np.append(first[1:], len(time)) - 1
     centre_s = (time[first] + time[last]) * 0.5e-9

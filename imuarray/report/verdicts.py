@@ -143,9 +143,7 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
 
 
 def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
-    """Return the text on accelerometers whose angles between axes are those of the data sheet, and on gyroscopes that
-    were hardly turned about some box axes; "" if there are none.
-    """
+    """Return the text on angles of accelerometers, and turns of gyroscopes, that were not measured; "" without any."""
     nominal = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
     angles = f"; the angles between the axes of {_listed(nominal)} are the data sheet's" if nominal else ""
     uncertain = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}

@@ -253,9 +253,7 @@ def _copy_logs(logs: Sequence[Path], folder: Path) -> None:
 def _find_size(
     injection: Injection, target: _Target, plain: Log, limits: float, stack: ExitStack
 ) -> tuple[float, float | None] | None:
-    """Return the size that amounts to `limits` detection limits in this log and the measured limits (None for an effect
-    without size); None if the size cannot be reached.
-    """
+    """Return the size for `limits` detection limits and those measured (None without size); None if not reached."""
     if not injection.first:
         return 1.0, None
 

@@ -249,9 +249,7 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Valid
 
 
 def _is_known(cause: Cause, known: Iterable[Cause]) -> bool:
-    """Return whether the known causes have this effect on all sensors of the cause, each on one of its axes. A line of
-    a different frequency or a step of a different size is a different cause.
-    """
+    """Return whether the known causes have this effect on all sensors of the cause, each on one of its axes."""
     same = [other for other in known if other["effect"] == cause["effect"] and _can_be_same(cause, other)]
     sensors = [set(other.get("sensors") or ()) for other in same]
     if not all(sensors):  # one of them is a cause in all sensors

@@ -643,9 +643,7 @@ def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
 
 
 def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
-    """Return the mean share that causes claim to close if the right cause is withheld from the library. The figure for
-    reported wrong causes, in contrast, includes only cases in which the right cause was available.
-    """
+    """Return the mean share that causes claim to close if the right cause is withheld from the library."""
     claims = [
         max(answer.closed, 0.0) if isfinite(answer.closed) else 0.0
         for answer in answers

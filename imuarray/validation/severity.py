@@ -382,9 +382,7 @@ def _responses(header: SensorHeader, axis: int) -> list[float]:
 
 
 def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of the logarithmic spectrum at rest over all logs, without the part that the noise power, a
-    change of the cutoff and the noise of rounding explain.
-    """
+    """Yield the statistic of the log spectrum at rest, without what noise power, cutoff and rounding explain."""
     changes, filters, roundings = list[tuple[Floats, float]](), list[Floats](), list[Floats]()
     for pair in pairs:
         before, after = (_spectra(counts[: pair.rows], pair.quiet) for counts in (pair.counts, pair.new_counts))
@@ -407,9 +405,7 @@ def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
 
 
 def _cutoff_slope(pair: _LogPair, bins: int) -> Floats:
-    """Return (bins,) the change of the logarithmic spectrum for a relative change of the cutoff of one pole, from the
-    first frequency above zero to half the rate of the rows.
-    """
+    """Return (bins,) the change of the log spectrum by a relative change of a one-pole cutoff, up to half the rate."""
     cutoff_hz = noise_bandwidth_hz(pair.header)
     if cutoff_hz <= 0:
         return np.zeros(bins)
@@ -461,9 +457,7 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
 
 
 def _displacements(header: SensorHeader, axis: int) -> Floats:
-    """Return (21, 3) the response that a displacement along each axis (one sigma) adds to an axis of an accelerometer,
-    in g, for each column of the design of `_motion_responses`.
-    """
+    """Return (21, 3) in g what a displacement along each axis adds to an axis, by column of `_motion_responses`."""
     added = np.zeros((_COLUMNS, 3))
     if header.unit == "g":
         products, turns = np.split(rotation_columns()[:, axis] * POSITION_SIGMA_MM * 1e-3 / SI_PER_UNIT["g"], [6])

@@ -139,9 +139,7 @@ def headers_of(recordings: Iterable[Recording]) -> list[SensorHeader]:
 
 
 def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the share closed by a diagnosis that knows the effects and their sensors, with its interval. It needs no
-    evidence that they are present, and considers no others.
-    """
+    """Return the share that a diagnosis with known effects and sensors closes, without evidence, with its interval."""
     effects = {name for names in case.resembles for name in names}
     sensors = {name for mechanism in truth["mechanisms"] for name in mechanism["sensors"]} & compared.headers.keys()
     candidates = {name: mechanism for name, mechanism in CANDIDATES.items() if name in effects}

@@ -133,9 +133,7 @@ def _is_piled(end: Table, level: float) -> bool:
 
 
 def _is_far(end: Table, codes: Table, level: float) -> bool:
-    """Return whether Gaussian readings are unlikely to reach an end. The distance is reduced by a step, because the
-    measured spread of noise below a step is unreliable.
-    """
+    """Return whether Gaussian readings are unlikely to reach an end; its distance is reduced by a step."""
     distance = float(abs(end["code"] - codes["mean"]) - codes["step"]) / codes["std"]
     return bool(codes["readings"] * erfc(distance / sqrt(2)) / 2 <= level)
 

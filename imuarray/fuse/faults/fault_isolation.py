@@ -265,9 +265,7 @@ class FaultIsolation:
                 self.report.isolated(exclusion, exclusion.first)
 
     def _search(self, window: DecisionWindow, time_ns: int) -> tuple[WindowResiduals | None, Booleans]:
-        """Exclude one suspect after the other until the others agree. Return the residuals of the window by these
-        (None: they are too few), and the axes (m,) of sensors with a fault that is not isolated.
-        """
+        """Exclude suspects until the others agree. Return the residuals (None: too few left) and suspect axes (m,)."""
         none = np.zeros(len(self._axes), bool)
         for _ in range(_MOST):
             seen = self._residuals(window)
@@ -343,9 +341,7 @@ class FaultIsolation:
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
     def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: DecisionWindow) -> None:
-        """Determine and report the kind of a fault one window after its detection, when it fills a window. A sensor
-        that is stuck or measures in another range is excluded as a whole.
-        """
+        """Determine and report a fault's kind one window after its detection; a stuck sensor is excluded."""
         agrees = agreeing(seen, self._normal, window.present)[list(exclusion.axes)].all()
         is_over = agrees and not self._still.standing[exclusion.sensor]
         now = None if is_over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, seen, window)

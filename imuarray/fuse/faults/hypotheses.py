@@ -400,9 +400,7 @@ class Baseline:
         self._seen += included * times
 
     def _shares(self, begun: Booleans, usual: Floats, normal: NormalModel) -> tuple[Floats, Floats, Floats] | None:
-        """Return the drift of each axis over its limit, the drift, and the limit, all (m,); None if the axes that have
-        `begun` do not determine a triad.
-        """
+        """Return each axis' drift over its limit, drift and limit, (m,); None if axes that have `begun` are too few."""
         space = self._spaces(begun.astype(float))
         if space is None or self._state is None or self._covariance is None:
             return None

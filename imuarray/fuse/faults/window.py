@@ -447,9 +447,7 @@ def window_residuals(
 
 @dataclass(frozen=True)
 class _FrameSolution:
-    """Least-squares solution of the frames of a window: `gains` (n, 3, m), or (3, m) if all frames have the same, and
-    whether the readings of each frame determine a triad, `observable` (n,).
-    """
+    """Least-squares solution of frames: `gains` (n, 3, m), or common (3, m), and whether each is `observable` (n,)."""
 
     gains: Floats
     observable: Booleans

@@ -165,9 +165,7 @@ _KEPT = 1024
 
 
 class _RegressionSums:
-    """Sums over the frames with the same rows in use: of the products of (1, stimulus) with itself (`squares`) and with
-    the readings (`products`), and of the stimulus's covariances, which the squares include (`blur`).
-    """
+    """Sums over frames: products of (1, stimulus) (`squares`), with readings (`products`), covariances (`blur`)."""
 
     def __init__(self, terms: int, rows: int) -> None:
         self.squares = np.zeros((terms, terms))
@@ -265,9 +263,7 @@ def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse
 
 
 def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:
-    """Roots of the sizes (c,), and weights (c, terms), of the independent components of the sums of (1, stimulus),
-    without what the stimulus's own noise makes of them.
-    """
+    """Roots of sizes (c,) and weights (c, terms) of independent components of (1, stimulus), without its own noise."""
     if len(sums.squares) == 1:
         return np.sqrt(sums.squares[0]), np.ones((1, 1))
     squares = sums.squares.copy()

@@ -24,9 +24,7 @@ from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patt
 from imuarray.fuse.optimal.states import Drift, Gaussian, StateResponse
 
 _TOLERATED = 0.1
-"""Largest relative change of the variance of a row by the stimulus in a frame with the nominal gain; the loss by a
-slightly wrong gain is of second order.
-"""
+"""Largest relative change of a row's variance by the stimulus with the nominal gain; the loss is of second order."""
 
 
 class NominalGain(NamedTuple):
@@ -250,9 +248,7 @@ def _joint(covariance: Floats, clipped: ClippedReadings) -> Floats:
 
 
 _CERTAIN = 5.0
-"""Distance of the expectation beyond the bound, in standard deviations, at which a clipped axis contains no
-information: it changes the mean by 1.5e-6 standard deviations.
-"""
+"""Distance of the expectation beyond the bound, in sigmas, at which a clipped axis contains no information."""
 
 
 @dataclass(frozen=True)

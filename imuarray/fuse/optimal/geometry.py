@@ -32,9 +32,7 @@ _WIDER = 1.05
 """Least ratio of two ranges of which the larger one counts as wider."""
 
 _NEAR = 3.0
-"""Distance from the bound, in standard deviations, within which readings are not used to estimate slow errors: there,
-the readings that are not clipped are biased.
-"""
+"""Distance from the bound, in sigmas, within which readings are biased and not used for slow errors."""
 
 
 _KEPT = 1024

@@ -98,9 +98,7 @@ class Lever:
         self._last_rate = np.zeros(3)
 
     def __call__(self, readings: FrameReadings, rate: Floats) -> FrameReadings:
-        """Return `readings` with the centripetal term removed, and the readings of the angular acceleration. Where
-        `rate` (n, 3) rad/s is unknown (NaN), the last known one is used, and there is no slope.
-        """
+        """Return `readings` less the centripetal term, and readings of the angular acceleration, by the known rate."""
         time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
         acceleration = self._slopes(time, rates)
         held_rate = hold_last(np.concatenate([self._last_rate[None], rate]))[1:]

@@ -207,9 +207,7 @@ def error_model(
 
 
 def _of_design(wander: float, slope: float, has_temperature: bool) -> DesignErrors:
-    """Return the common errors of a design, which are not measured: the common wander is assumed as large as that of a
-    single unit. Measured errors of a unit include the common ones, and nothing is added.
-    """
+    """Return the assumed common errors of a design; measured errors of a unit include them, and nothing is added."""
     if has_temperature:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
@@ -287,9 +285,7 @@ def _bias(parameters: SensorCalibration, usual: DesignDefaults, noise: Floats, d
 
 
 def _of_calibration(parameters: SensorCalibration) -> float:
-    """Return the share of the variance between switch-ons in a calibrated bias: 1 over the number of logs, each of
-    which began with a switch-on; 0 for a bias that was not measured in logs.
-    """
+    """Return the share of turn-on variance in a calibrated bias: 1 over the number of its logs, 0 without logs."""
     origin = parameters.provenance.get("bias")
     return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
 

@@ -126,9 +126,7 @@ def _bias(parameters: SensorCalibration, index: int) -> tuple[float, float] | No
 
 
 def _reduction(error: tuple[float, float] | None, other_error: tuple[float, float] | None) -> Reduction | None:
-    """Return the reduction of two errors, each with its standard error; its interval collapses to a point for standard
-    errors of zero. None if one of them is not known.
-    """
+    """Return the reduction of two errors with standard errors, with its interval; None if one of them is not known."""
     if error is None or other_error is None:
         return None
     (first, sem_first), (second, sem_second), tiny = error, other_error, np.finfo(float).tiny

@@ -571,9 +571,7 @@ class RangeBlend:
         return [relative.sentence(quantity) for relative, low in result if low]
 
     def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
-        """Return the change per second (n, 3) over the last two frames, which is causal; zero if not known, or if the
-        motion may have changed within two frames: delays are then not corrected.
-        """
+        """Return the causal change per second (n, 3) over two frames; 0 if unknown, or if motion may have changed."""
         times, triads = np.concatenate([self._last_time, time]), np.concatenate([self._last_triad, triad])
         slope = np.zeros_like(triads)
         passed_s = (times[2:] - times[:-2])[:, None] * 1e-9
@@ -585,9 +583,7 @@ class RangeBlend:
     def _uncertainty(
         self, states: DifferenceStates, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
     ) -> Floats:
-        """Return the covariance (n, 6) by errors of the corrections where they do not cancel, from the difference of
-        the gains from those of the whole blend.
-        """
+        """Return the covariance (n, 6) by errors of the corrections: gains less those of the whole blend."""
         extra = np.zeros((len(triad), 6))
         off = np.flatnonzero((share < 1).any(axis=1) & np.isfinite(triad).all(axis=1))
         if len(off):

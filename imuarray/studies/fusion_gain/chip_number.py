@@ -126,9 +126,7 @@ def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
 def _simulate(
     array: ArrayConfig, experiment: str, frames: tuple[float, float], seed: int, path: Path, slopes: str = OWN
 ) -> None:
-    """Simulate one log; `frames` are their rate in Hz and their duration in s. With `SHARED` slopes, all sensors have
-    the temperature slope of the first, in their own axes.
-    """
+    """Simulate a log of `frames` (rate in Hz, seconds); with `SHARED` slopes all sensors have that of the first."""
     plan = plan_of(array, *frames)
     model = load_model(configs() / "models" / "datasheet.toml")
     effects = dict(effects_of(plan, model, seed))

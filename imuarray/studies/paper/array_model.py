@@ -265,9 +265,7 @@ def _in_run(name: str, slope: Floats) -> Floats:
 
 
 def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
-    """Return the turn-on deviation from Table 11's run-to-run deviation, after subtraction of white noise, temperature
-    and the in-run wander of a run's mean.
-    """
+    """Return the turn-on deviation: Table 11's run-to-run less white noise, temperature and in-run wander."""
     remaining = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
     return np.asarray(np.sqrt(np.maximum(remaining - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
 
@@ -392,9 +390,7 @@ def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, 
 
 
 def _foretold(design: str, effect: str, key: str, values: Sequence[object]) -> object:
-    """Return the population of a parameter: one for all axes, or for the ADXL345 one for x and y and another one for z,
-    whose design differs (section 2.2).
-    """
+    """Return the population of a parameter, one for all axes; for the ADXL345 one for x and y, another one for z."""
     if effect in ("tone", "bandwidth") or key == "time_constant_s":
         return values[0]
     measured, count = np.array(values, float), len(values)

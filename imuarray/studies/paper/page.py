@@ -447,9 +447,7 @@ def write_paper_page(
 
 
 _ENOUGH = 0.9
-"""Minimum share of the statistics within two uncertainties for a simulation that reproduces the paper. A perfect model
-has 95.4 %; known gaps of the model reduce this share.
-"""
+"""Minimum share within two uncertainties for a simulation that reproduces the paper; a perfect model has 95.4 %."""
 
 
 def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:

@@ -433,9 +433,7 @@ _A3_STDS = {"x": 8.0201, "y": 9.8857, "z": 9.3002}
 
 
 class _HeatingSpread(NamedTuple):
-    """The heating: mean temperature; standard deviation of a fitted slope, per degC, caused by unit white noise and by
-    a unit in-run wander; standard deviation of the mean caused by a unit wander.
-    """
+    """The heating: mean degC; a slope's rms by unit white noise and by unit wander; the mean's rms by unit wander."""
 
     degc: float
     of_noise: float
@@ -526,9 +524,7 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
 
 
 def _between_filters() -> float:
-    """Return the standard deviation over the axes of ln(noise at 110 Hz over that in the array runs), Tables 9 (2000
-    dps), 10, 11. The model uses the root of the ratio of the bandwidths for all axes.
-    """
+    """Return the standard deviation over axes of ln(noise at 110 Hz over that in array runs), Tables 9 to 11."""
     rows = [row for row in table(9) if row["range"] == "2k dps"]
     noise = [own(row["output"], lambda unit: unit.noise) for row in rows]
     ratios = [log(float(number_in(row, "std_lsb")) / own_noise) for row, own_noise in zip(rows, noise, strict=True)]
