@@ -77,8 +77,7 @@ class CommonChange:
 class OpposedChange:
     """Change of the biases of two axes of one design that oppose each other along a box axis: the rms over calibrations
     of a single axis (`alone`) and of the mean of both in the box frame (`together`), in `unit`; the `correlation` of
-    their changes along their own axes, and the probability of a correlation at least as large by chance (nan for two
-    calibrations).
+    their changes along their own axes, and its probability by chance (nan for two calibrations).
     """
 
     chip: str

@@ -1,14 +1,12 @@
 """Least squares in correlated noise: white noise plus a first-order Gauss-Markov process.
 
-Means of segments of an inertial sensor's output are not independent, because its bias wanders. Their covariance is
-modelled as::
+Means of segments of a sensor's output are correlated, because its bias wanders. Their covariance is modelled as::
 
     C[i, j] = (1 - white) exp(-|t_i - t_j| / correlation time) + white (i = j),     times an unknown variance
 
 Correlation time and white share are unknown, and uncertainties from the best-fitting pair alone are too small.
 Therefore a grid of pairs is used, which is refined around the likely ones. Each pair is weighted by its restricted
-likelihood (Harville, J. Am. Stat. Assoc. 72, 1977, p. 320), and the differences between the pairs are part of the
-variance.
+likelihood (Harville, J. Am. Stat. Assoc. 72, 1977, p. 320); their differences are part of the variance.
 
 The differences of neighbours z_i = y_i - r_i y_(i-1), r_i = exp(-dt_i / correlation time), have a tridiagonal
 covariance, so every pair costs one pass over the data.
@@ -81,8 +79,7 @@ def products(columns: Floats, gaps_s: Floats, noise: CorrelatedNoise) -> tuple[F
 
 def regress(sums: Floats, log_determinant: Floats, rows: int) -> tuple[Floats, Floats]:
     """Solve least squares from `products` (g, 1 + p, 1 + p) of a series (first) and its p regressors, over `rows`,
-    under g noises. Return the covariances (g, p, p) of the coefficients, and the logarithms (g,) of the restricted
-    likelihood.
+    under g noises. Return the coefficients' covariances (g, p, p) and log restricted likelihoods (g,).
     """
     cross = sums[..., 1:, 0]
     inner = sums[..., 1:, 1:] * (1 + _RIDGE * np.eye(sums.shape[-1] - 1))

@@ -1,8 +1,7 @@
 """Tables of the calibration file: written from dataclasses, read back field by field.
 
 A reader takes a value of the file with its place in it, and returns the value or raises a CalibrationError. The type of
-each field of a dataclass is annotated with its reader. The keys that a table must have are the fields without a
-default.
+each field of a dataclass is annotated with its reader. Fields without a default are required keys.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Every axis is a linear function of the direction of gravity: ``mean counts = response_row @ up + bias``. With one
 reading of each of the six faces the least-squares solution is the appendix's: half differences and the mean of six. A
-repeated face measures the drift and is not part of the fit, except in a gyroscope's bias, which the paper takes over
-all readings (Table 4).
+repeated face measures the drift and is not part of the fit, except in a gyroscope's bias (the paper's Table 4).
 
 Readings may deviate by more than noise, because a table leans or a bias wanders. Six faces have two degrees of freedom
 per axis from which this is estimated; if it is significant, it is included in the standard errors, equally for every
@@ -11,8 +10,7 @@ reading of a sensor. A leaning table affects all sensors, so that their errors a
 
 Face labels are verified: the box axis that pointed up according to the accelerometers is compared with the one that the
 phase states. If most accelerometers contradict a face, its label is wrong; if a single sensor does, its axes differ
-from those in the log. Where a single rotation or reflection of the box explains all faces, either may be the cause, and
-the error states both.
+from those in the log. Where a single rotation or reflection of the box explains all faces, the error states both.
 """
 
 from __future__ import annotations
@@ -173,9 +171,8 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
     """Return the index of the face that leaned, and the lean in words; None if no face leaned.
 
     The mean of all accelerometers is treated as one triad. The error of a face is its distance from the straight line
-    through the other faces. With six faces, the two opposite faces of a pair have the same distance; then the face is
-    chosen that is further from the direction that the configured axes predict. CalibrationError if both are about as
-    far.
+    through the other faces. With six faces, the two opposite faces of a pair have the same distance; then the one
+    farther from the configured axes' prediction is chosen. CalibrationError if neither is.
     """
     used = [place for place in range(len(readings.poses)) if place not in bad]
     design = np.column_stack([up_box[used], np.ones(len(used))])

@@ -305,8 +305,7 @@ class GravityFit:
     force with the drift corrected, and `held_out_force_g` the same by a calibration from all other poses (nan where
     those are too few). `drift_lsb` (s, 3) is the bias in the first pose less that in the last, and `drift_terms` the
     number of powers of time in it. `covariance` (12 s, 12 s) is that of bias and response of all sensors: the rows of
-    `fits`' coefficients without the drift, in the order of the sensors. `up_covariance` (3 k, 3 k) is that of the
-    directions.
+    `fits`' coefficients without the drift, in the order of the sensors. `up_covariance` (3 k, 3 k) of directions.
     """
 
     calibrations: tuple[SensorCalibration, ...]
@@ -437,8 +436,7 @@ def _chi_squared(bundle: Bundle) -> tuple[Floats, Floats]:
 
 
 def _fit_drift(readings: PoseReadings, values: Floats, noise: Floats, up_box: Floats) -> tuple[Floats, Bundle]:
-    """Return the terms of the fit in addition to the response, and the fit: powers of time, as long as each one
-    improves the fit significantly.
+    """Return the terms beside the response, powers of time that improve the fit significantly, and the fit.
 
     All terms but the bias have zero mean over the poses, so that the bias is the mean one. If the poses do not separate
     a drift from the other parameters, it remains part of the scatter.

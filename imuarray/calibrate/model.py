@@ -8,8 +8,7 @@ Measurement model of a triad, counts of one reading::
 `stimulus_box` is the specific force in g or the angular rate in dps in the box frame. Row k of `response` (counts per
 unit) is the response of the sensor's axis k to each box axis; it includes scale factor, misalignment and orientation.
 
-Figures that result from one measurement form a group (`GROUPS`): they are replaced together, and each group states its
-origin.
+Figures that result from one measurement form a group (`GROUPS`): they are replaced together and share an origin.
 """
 
 from __future__ import annotations
@@ -205,11 +204,9 @@ class SensorCalibration:
         return np.asarray(self.bias_lsb / self.scale_lsb_per_unit)
 
     def azimuth_elevation_deg(self) -> Floats:
-        """Return azimuth (0 along box X, 90 along box Y) and elevation above the XY plane (3, 2) of each sensor axis,
-        in degrees.
+        """Return azimuth (0 along box X, 90 along Y) and elevation of each sensor axis (3, 2), in degrees.
 
-        These are the angles of the paper's Appendix B, by atan2: the printed quotient is inverted and loses the
-        quadrant.
+        These are the paper's Appendix B, by atan2: its quotient is inverted and loses the quadrant.
         """
         x, y, z = self.directions_box.T
         return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
@@ -300,9 +297,8 @@ class Calibration:
         return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(sensors)}>"
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` with a row for each axis: bias, scatter of single readings and their unit (g, dps
-        or gauss), counts per unit, and standard errors; nan where a figure was not measured. MissingExtraError without
-        pandas.
+        """Return a `pandas.DataFrame` with a row for each axis: bias, scatter and their unit (g, dps or gauss), counts
+        per unit, and standard errors; nan where a figure was not measured. MissingExtraError.
 
         >>> from imuarray import load_calibration
         >>> table = load_calibration("cal.toml").to_pandas()

@@ -1,7 +1,6 @@
 """Rest and motion of the box in a log: the longest rest if no phase states one, and signs that the box moved.
 
-A calibration at rest refuses stretches in which the box moved, because a figure computed from motion is not a property
-of the sensor.
+A calibration at rest refuses stretches in which the box moved: motion is not a property of the sensor.
 
 A knock is a short disturbance of a box at rest, detected in windows of half a second: it lies between two rests and
 lasts at most `BRIDGED_S`. If the attitude is the same before and after it, the two rests are joined; if the box was

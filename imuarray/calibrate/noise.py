@@ -8,8 +8,7 @@ segments of T seconds of a process with variance v and time constant tau have th
 exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``: those of a sampled process in
 white noise, so a Kalman filter gives their exact likelihood. The level of each stretch is unknown and is integrated
 out, which also corrects for its degree of freedom (restricted maximum likelihood: Patterson and Thompson, Biometrika
-58, 1971). Several averaging times are used together: means over long times contain mostly the process, and those over
-short times mostly white noise.
+58, 1971). Several averaging times are used together: long ones contain mostly the process, short ones white noise.
 
 The filter runs for a grid of time constants and of ratios of drift to noise, first a coarse one, then a fine one about
 the maximum. Standard errors and bounds weigh the grid by the likelihood, with a prior that is flat in the rms and in
@@ -214,8 +213,7 @@ class ReadingNoise:
 
 
 def reading_noise(stretches: Stretches, false_alarm: float | None) -> ReadingNoise | None:
-    """Measure the noise of single readings, pooled over the `stretches` of one sensor at rest; None if no segment has
-    two valid readings.
+    """Measure a sensor's noise of single readings over its `stretches` at rest; None without two in a segment.
 
     `false_alarm` is the probability that a line is detected on an axis without lines; None: lines are not searched for.
     """
@@ -304,12 +302,10 @@ def calibrate_noise(
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
     """Measure the noise of single readings, its correlation and lines, and the drift of every inertial sensor, pooled
-    over all still stretches of one log or several. Changes with temperature are removed from the drift by the slopes of
-    `known`.
+    over all still stretches of one log or several. The slopes of `known` remove temperature from the drift.
 
     Still stretches are phases that name a face, `static` and `room`; in a log without these phases they are detected by
-    the accelerometers. CalibrationError without still stretches. `progress` is called with the step, the number of
-    sensors done, and their total.
+    the accelerometers. CalibrationError without still stretches. `progress` receives step, sensors done, and total.
     """
     require_logs(logs, "calibrate_noise(*logs)")
     return _calibrated(logs, known, _FALSE_ALARM, progress)

@@ -57,8 +57,7 @@ def noise_lines(
     stretches: Stretches, clock: ReadingInterval, rms_lsb: Floats, false_alarm: float
 ) -> tuple[NoiseLine, ...]:
     """Return the lines of every axis of one sensor at rest, strongest first, from the spectrum of all `stretches` and
-    those of windows; none if no stretch is long enough. The share of a line is the variance of its sine over
-    ``rms_lsb^2``.
+    those of windows; none if no stretch is long enough. A line's share is its variance over ``rms_lsb^2``.
 
     `false_alarm` is the probability that an axis without lines shows one.
     """

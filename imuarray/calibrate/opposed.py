@@ -1,8 +1,7 @@
 """Cancellation of biases and temperature drift by anti-parallel axes of one design (the paper's section 2.1).
 
 An error that all units of a design have in common remains in the mean of parallel axes and cancels between opposite
-ones. It is evaluated in the calibrated biases, turned into the box frame (`cancellation`), and in the slopes with
-temperature (`opposed_slopes`).
+ones. It is evaluated in the biases, in the box frame (`cancellation`), and in the slopes (`opposed_slopes`).
 
 In the box frame the axes of a pair have opposite signs, so the mean of the pair drifts with half the difference of the
 two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; with parallel axes it would be 0.263. Opposed

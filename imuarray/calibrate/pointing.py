@@ -1,5 +1,4 @@
-"""Orientation of every sensor as signed axes, from a few poses held by hand, and its entry in the text of a
-configuration.
+"""Orientation of every sensor as signed axes, from a few poses held by hand, and its entry in a configuration.
 
 The axes that a log states are ignored. Of the 24 proper rotations of a sensor in the box (no chip is a mirror image)
 the one that explains the data best is chosen
@@ -73,8 +72,7 @@ TURNS = _turns()
 
 
 def upright_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
-    """Return the log's poses with the box axis that was up in each: `ups` in order of time, or those that its phases
-    state, or `DEFAULT_POSES`.
+    """Return the log's poses with the box axis up in each: `ups` in order, or those of phases, or `DEFAULT_POSES`.
 
     CalibrationError if the number of poses in the log differs from the number of axes.
     """
@@ -226,8 +224,7 @@ _LONGEST = 1 << 20
 
 
 def with_axes(text: str, pointings: Sequence[Pointing], where: str) -> str:
-    """Return the text of a configuration with the axes that were determined; everything else, including comments, is
-    unchanged.
+    """Return a configuration's text with the determined axes; all else, with comments, is unchanged.
 
     ConfigError, beginning with the source of the text (`where`), if that is not a configuration.
     """

@@ -5,8 +5,7 @@ windows of half a second in which the accelerometers hardly change and the gyros
 their means agree. In a log without accelerometers the gyroscopes are used, or else the magnetometers (`find_rests`).
 
 Readings at rest are read block by block. Stale, saturated and suspect rows are ignored; readings on either side of a
-gap are not neighbours. `PoseReadings` contains the means of many sensors over many poses as arrays, with their standard
-errors.
+gap are not neighbours. `PoseReadings` contains means of sensors over poses, with standard errors.
 """
 
 from __future__ import annotations
@@ -154,8 +153,7 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
     """Return the mean reading of `sensor` in `pose`; CalibrationError if it has no readings there.
 
     The standard error is computed from the means of batches, so that correlation of neighbouring readings does not make
-    it too small. Saturated and suspect readings are ignored; CalibrationError if more than one in a thousand is
-    saturated.
+    it too small. Saturated and suspect readings are ignored; CalibrationError if over 0.1 % are saturated.
     """
     sensor, rows = pose.rows_of(sensor)
     status = np.asarray(sensor.status[rows])
@@ -271,8 +269,7 @@ def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
 def _slow_ends(mean: Floats) -> tuple[int, int]:
     """Return how many windows at the beginning and at the end of a stretch at rest, with these means (w, k), may belong
     to the adjacent motion: one, or in a long stretch twice the number of windows that differ significantly from the
-    next ones, but at least one. A motion may begin slowly: if its rate grows with the square of the time, it is a
-    quarter as large at half the time.
+    next ones, but at least one. A motion may begin slowly: at half the time a quadratic one is a quarter.
     """
     if len(mean) < _LEAST_MARGINED:
         return 0, 0
@@ -434,8 +431,7 @@ def read_poses(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> PoseReadi
     """Read every sensor in every pose; CalibrationError if one has no valid readings in a pose.
 
     The noise of an axis is assumed equal in all poses, so its variances are pooled. Means of counts with little scatter
-    have an error by rounding, ``exp(-4 pi^2 sd^2) / 12`` (the first harmonic of the rounding bias for a normal scatter
-    sd).
+    have an error by rounding, ``exp(-4 pi^2 sd^2) / 12`` (first harmonic of the rounding bias).
     """
     readings = [[read_pose(sensor, pose) for pose in poses] for sensor in sensors]
 

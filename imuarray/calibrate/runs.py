@@ -11,8 +11,7 @@ axes, so its distribution by chance depends on the number of runs only. That dis
 scatter and for heavy tails (Student's t with three degrees of freedom), and the share must be significant under both.
 
 If temperatures are known, each group is a line in temperature, and both lines have the same slope, so that a warm-up is
-not mistaken for a state: scatter is the residual from a line, and a split explains ``|sum of one group|^2 / |its
-membership less a line|^2``.
+not mistaken for a state: a split then explains ``|sum of one group|^2 / |its membership less a line|^2``.
 """
 
 from __future__ import annotations
@@ -113,8 +112,7 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
     """Return the most likely split of runs (r, 3), True for runs that are not in the first run's group, and the
     probability of a split at least as good by chance.
 
-    The linear effect of `temperatures` (r,) is removed first, also from the simulated draws. No split and 1.0 for fewer
-    than 6 runs.
+    The linear effect of `temperatures` (r,) is removed first, also from draws. No split and 1.0 below 6 runs.
     """
     rows = len(means)
     if rows < MIN_RUNS:
@@ -234,11 +232,9 @@ class SensorRuns:
     gravity_lsb: Floats = field(default_factory=lambda: np.zeros(3))
 
     def in_run(self, used: Sequence[int]) -> tuple[MeanVariance, ...]:
-        """Return for each axis the variance of a run's mean, estimated within the runs with indices `used`; empty if
-        only the run means are known.
+        """Return for each axis the variance of a run's mean within the runs `used`; empty if only means are known.
 
-        A wander that is slower than the length of a run is not visible within it and counts as a change from run to
-        run.
+        A wander slower than a run is not visible within it and counts as a change from run to run.
         """
         parts = [self.segments[place] for place in used] if self.segments else []
         parts = [part for part in parts if len(part.time_s) > 2]
@@ -254,8 +250,7 @@ class SensorRuns:
 def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
     """Read the runs of one sensor: every phase `run <k>`, or the whole log if it has none, numbered in order.
 
-    CalibrationError if the sensor's configuration differs between logs, if two runs have the same number, or if the
-    box had several poses.
+    CalibrationError for different configurations, equal run numbers, or several poses.
     """
     numbers: list[int] = []
     segments: list[SegmentMeans | None] = []

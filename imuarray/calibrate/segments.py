@@ -71,11 +71,9 @@ class TemperatureSeries:
         return np.interp(time_s, self.time_s, self.degc)
 
     def lagged(self, time_s: Floats, lags_s: Sequence[float]) -> Floats:
-        """Return the temperature (len(time_s), len(lags_s)) after first-order lags, each in equilibrium at the first
-        reading.
+        """Return the temperature (len(time_s), len(lags_s)) after first-order lags, at first in equilibrium.
 
-        Exact for straight lines between the readings: with slope s, a lag L gives x1 - s L + (y0 - x0 + s L)
-        exp(-dt / L).
+        Exact for lines between readings: with slope s, lag L gives x1 - s L + (y0 - x0 + s L) exp(-dt / L).
         """
         lags = np.maximum(np.asarray(lags_s, float), 1e-9)
         steps = np.diff(self.time_s)
@@ -95,8 +93,7 @@ def segment_means(
     """Return mean counts (n, k) of a sensor over segments of `width_s` (longer if there would be more than 20000), of
     all rows or of the rows `within`.
 
-    Stale, saturated and suspect rows and rows inside the phases `left_out` are ignored. CalibrationError if no rows
-    remain.
+    Stale, saturated and suspect rows and phases `left_out` are ignored. CalibrationError if no rows remain.
     """
 
     def sound(rows: slice) -> npt.NDArray[np.bool_]:

@@ -180,8 +180,7 @@ class StartUpVerdict(NamedTuple):
 
 
 class StartStateDetector:
-    """Judges the first readings of sensors (an `imuarray.acquire.sensor_health.Judge`): a call returns verdicts by
-    name.
+    """Judges the first readings (an `imuarray.acquire.sensor_health.Judge`): a call returns verdicts.
 
     `sentences` keeps every sentence; `report` is called with each new one. If the box moved, there are no verdicts.
     """

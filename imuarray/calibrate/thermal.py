@@ -2,12 +2,10 @@
 
 The model of one axis in one heating is ``counts = offset + slope (T - reference) + quadratic (T - reference)^2 + drift
 t + noise``, where T passes a first-order lag that the three axes share and the noise wanders. The lag has no closed
-form: a grid of lags is fitted, each weighted by its likelihood, so that the uncertainty of the lag is part of a slope's
-standard error.
+form: a grid of lags is fitted, each weighted by its likelihood; its uncertainty is part of a slope's standard error.
 
 Every fit includes the curvature, significant or not. Without it, a ramp that spends most of its time at one end would
-give the slope at that end, with a standard error that ignores the other temperatures, and a curvature would be mistaken
-for a lag.
+give the slope at that end, without the error by other temperatures, and curvature would pass for a lag.
 
 An axis that carries the gravity g (in units of g) has the slope ``bias slope + g * sensitivity * scale slope``. One
 orientation gives one such equation with two unknowns (section 5.2.5 of the paper); logs of opposite faces give both.
@@ -391,8 +389,7 @@ class ThermalResult:
 
 
 def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult:
-    """Measure the slopes with temperature of every inertial sensor from one log, or from several logs of the same array
-    in different orientations.
+    """Measure temperature slopes of every inertial sensor from logs of one array, in one or several orientations.
 
     The box must stand still in a log, except in phases called `motion`, which are ignored. CalibrationError for a log
     without a thermometer, that is too short, whose temperature hardly changed, or that has several orientations.

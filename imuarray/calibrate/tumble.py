@@ -1,5 +1,4 @@
-"""`calibrate tumble`: every inertial sensor of a log from static poses (named faces if the log has them) or from a slow
-tumble by hand.
+"""`calibrate tumble`: every inertial sensor from static poses (or named faces) or a slow tumble by hand.
 
 Bias and g-sensitivity of gyroscopes follow from any static poses (the method of the paper's Table 4, the whole matrix):
 ``mean counts = g_sensitivity @ up + bias (+ drift)``, with the directions of gravity from the accelerometers. The

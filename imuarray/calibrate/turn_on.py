@@ -64,8 +64,7 @@ class TurnOnResult:
     with `in_run_freedom`; `p_value` the probability of a ratio at least as large if switching on does not change the
     bias, not corrected for many axes (`holm`). These are nan if the scatter within runs is not known.
     `slope_lsb_per_degc` is None without temperatures. `p_states` is the probability of a split at least as good by
-    chance; there is one state unless it is below 0.01, divided by the number of sensors. `apart` are the runs with a
-    start-up fault.
+    chance; there is one state unless it is below 0.01, divided by the number of sensors. `apart` had a start-up fault.
     """
 
     runs: SensorRuns
@@ -230,8 +229,7 @@ def _fit_about(
     means: Floats, groups: Sequence[npt.NDArray[np.bool_]], warm: Floats | None
 ) -> tuple[Floats | None, Floats, int]:
     """Return the slope with temperature (3,), the standard deviation (3,) of run means (r, 3) about their groups and
-    that slope, and its degrees of freedom. The slope is None without temperatures, if they are all equal, or with too
-    few runs.
+    that slope, and its degrees of freedom. The slope is None for too few runs or different temperatures.
     """
     design = np.array(groups, float).T
     usable = warm is not None and np.ptp(warm) > 0 and len(means) > len(groups) + _FEWEST_RUNS - 1

@@ -46,15 +46,13 @@ times, reduced by the median over `_PIECES` pieces, is added.
 @dataclass(frozen=True)
 class SensorAlignment:
     """Alignment of one sensor with the reference: its rows per second, their excess over the reference in parts per
-    million, and mean and standard deviation of the time from a row of the reference to the nearest row of this sensor
-    (s).
+    million, and mean and standard deviation of the time from a row of the reference to this sensor's nearest (s).
 
     `row_apart_s` is the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s`, with its
     standard error, is the delay of the sensor's response to a rotation; None if no motion determines it, and for
     sensors other than gyroscopes. `time_uncertainty_s` is the median of the largest errors of the sensor's times as
     stated in the log; None if not stated. `pulse_offset_s`, with its error, is the mean time by which this sensor's
-    times of the `pulses` synchronisation pulses in common with the sensor `pulses_from` are later than that sensor's;
-    None without pulses.
+    times of the `pulses` synchronisation pulses in common with the sensor `pulses_from` are later; None without pulses.
     """
 
     name: str
@@ -276,8 +274,7 @@ PULSE_WINDOW_S = 600.0
 LEAST_PULSES = 5
 _SHARE_OF_SPREAD = 0.5
 """Least scatter of the time differences of pulses, relative to that of pulses at uniformly distributed phases of the
-samples. Below it the pulses are assumed to be at fixed phases, and the mean difference is no more precise than a single
-one.
+samples. Below it the pulses are assumed to be at fixed phases, and averaging gains nothing.
 """
 _BLOCK_ROWS = 1 << 16
 

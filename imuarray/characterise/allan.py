@@ -185,8 +185,7 @@ def allan_deviation(
 
     `factors` are averaging factors from 1 to n // 2; octaves if None. `confidence` is the share of intervals that
     contain the true deviation. `estimator`: "overlapping" uses every term, "decimated" one term in m / 8 or fewer rows.
-    ValueError for anything else: fewer than two values, values that are not real and finite, an interval that is not
-    positive.
+    ValueError for anything else: too few values, values not real and finite, an interval not positive.
     """
     series = _checked(values, interval_s)
     used_factors = _factors(len(series), factors)
@@ -339,8 +338,7 @@ class AllanStream:
         self._rows += len(block)
 
     def curve(self, confidence: float = CONFIDENCE) -> AllanCurve:
-        """Return the Allan deviation of all rows so far, at the factors for which they suffice; ValueError for fewer
-        than two rows.
+        """Return the Allan deviation of all rows so far, at sufficient factors; ValueError below two rows.
 
         Octaves end at a third of the rows, given factors at half of them.
         """

@@ -138,8 +138,7 @@ Runs = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class AllanCurve:
-    """Allan deviations in the unit of the series: a row per tau, and a column per column of the series if the series is
-    two-dimensional.
+    """Allan deviations in the unit of the series: a row per tau, and a column per column of a 2-D series.
 
     `tau_s`, `terms` (squares averaged) and `stride` (rows between their starts, 1: fully overlapping) are (t,);
     `deviation`, `low` and `high` (ends of its confidence interval), `freedom` (equivalent degrees of freedom) and

@@ -12,12 +12,10 @@ random walk of the reading (rate random walk), R a ramp.
 Estimates at neighbouring tau are computed from the same rows. They are weighted by the inverse of their covariance
 under the fitted noise (generalised least squares; weights and fit alternate until they agree; no square is negative:
 Lawson and Hanson, "Solving Least Squares Problems", 1974). The sum of squared residuals is nearly chi-squared; a small
-tail probability shows that the curve is not a sum of these noises. In simulations 1 % of good fits are rejected, for
-short and for long series.
+tail probability shows that the curve is not a sum of these noises. In simulations 1 % of good fits are rejected.
 
 Covariance: the estimates at averaging factors m and m' are computed from the same series and are therefore correlated.
-With second differences D of the integrated series, M terms at m, M' at m', and Gaussian noise (the fourth moment of
-normal variables)::
+With second differences D of the integrated series, M terms at m, M' at m', and Gaussian noise::
 
     cov(avar_m, avar_m') = 1 / (4 m^2 m'^2 M M') * sum over i, j of (2 r(j - i)^2 + 4 mu mu' r(j - i))
 
@@ -66,8 +64,7 @@ _MOST_LENGTHS = 24
 
 def merge_similar(runs: Runs) -> Runs:
     """Return the runs (rows, number). If they have more than `_MOST_LENGTHS` different lengths, runs of similar lengths
-    are replaced by the same number of runs of their mean length: covariances change little within a tenth of the
-    length.
+    are replaced by the same number of runs of their mean length, within a tenth.
     """
     if len(runs) <= _MOST_LENGTHS:
         return runs
@@ -169,8 +166,7 @@ def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
 
 
 def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
-    """Return the lags at which r is taken, for m <= n; the number of pairs of starts at each lag; and the number of
-    lags that each represents.
+    """Return the lags at which r is taken, for m <= n; the pairs of starts at each; and the lags each represents.
 
     Lags are dense where r has kinks, near three multiples of n, and increasingly sparse elsewhere.
     """
@@ -186,8 +182,7 @@ def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
 
 _NEEDED = 5.41
 """Growth of the misfit on removal of a term from which on the term is needed. A term that is truly zero exceeds it with
-a probability of 1 %: it is fitted as zero with probability 1/2, and otherwise the growth is chi-squared with one degree
-of freedom.
+a probability of 1 %: it is fitted as zero with probability 1/2, otherwise the growth is chi-squared (1).
 """
 
 _SURE = 1.0

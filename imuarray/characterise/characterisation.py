@@ -319,8 +319,7 @@ class Characterisation:
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` with a row for each axis: coefficients with their intervals, in the sensor's
-        unit, nan where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError without
-        pandas.
+        unit, nan where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError.
         """
         from imuarray.log.datasets import optional_package
 

@@ -98,8 +98,7 @@ class CodeGap:
 
 @dataclass(frozen=True)
 class End:
-    """The lowest or highest `code`, the `share` of readings that have it, and the probability `p_value` of a share at
-    least as large.
+    """The lowest or highest `code`, the `share` of readings with it, and the probability `p_value` of such a share.
 
     A density falls towards its ends, so that the last code is at most as frequent as the one before (binomial
     distribution of both together). nan if the spread is too narrow.

@@ -51,8 +51,7 @@ _SIDE = 32
 _LEAST = 8
 """Fewest bins on either side: a line takes three or four of them, which must be fewer than half.
 
-The floor can therefore be estimated from bin 12 on, and its remainder, which needs the floor on both sides, from bin 24
-on.
+The floor can therefore be estimated from bin 12 on, and its remainder, which needs both sides, from 24.
 """
 
 _SHARE = 0.4
@@ -68,8 +67,7 @@ _EXTREMES = (0.16, 0.84)
 class NoiseFloor:
     """Floor of one column at the `bins` (b,) that are searched for lines: `density` (b,) in squared units per Hz.
     `freedom` (b,) is that of the floor itself, with a relative variance of 2 / freedom. `spectrum_freedom` (b,) is that
-    of the densities, and is less than `Spectrum.freedom` if the bins scatter more than expected, as for noise with a
-    varying level.
+    of the densities, and is less than `Spectrum.freedom` if bins scatter more, as by a varying level.
     """
 
     bins: Indices
@@ -201,8 +199,7 @@ def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
 @lru_cache(maxsize=16)
 def _variance(freedom: float, first: int, last: int) -> Floats:
     """Return the read-only variance (b,) of the log of the floor at the bins from `first` to `last`: that of the log of
-    a gamma variable's median, 1 / (4 density^2), over the equivalent number of bins; mirrored bins contain no new
-    information.
+    a gamma variable's median, 1 / (4 density^2), over the equivalent number of bins; mirrored bins are not new.
     """
     bins = np.arange(first, last + 1)
     half = freedom / 2
@@ -267,8 +264,7 @@ class SpectralLine:
 
     `false_alarm` is an upper limit of the probability that noise has such a peak anywhere in the spectrum; `over_floor`
     is the ratio of the peak's density to that of the noise. At half the rate a line has no phase: there the amplitude
-    is that of +A, -A, +A, ... The amplitude of a line wider than a bin or two (a motor, for example) is larger than
-    this.
+    is that of +A, -A, +A,... A line wider than a bin or two (of a motor) has a larger amplitude.
     """
 
     frequency_hz: float

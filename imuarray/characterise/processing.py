@@ -53,8 +53,7 @@ _LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
 
 BEAT = 25.0
 """Least power of a line in the squared second differences, in medians of their periodogram and on all axes at once,
-that shows resampling: the noise then varies with the phase between two rates. One axis exceeds it by chance in one of
-3e7 bins.
+that shows resampling: the noise then varies with the phase between two rates. An axis exceeds it once in 3e7 bins.
 """
 
 _LINE = 20.0

@@ -6,8 +6,7 @@ are `APART` rows apart, where neither repeats nor the correlation of filtered no
 than a count from row to row over longer times, in all columns, can't be distinguished from repeats.)
 
 `Stalls` are frozen readings of an ICM-42688-P with its adaptive range on, where a rate passes 100 dps (TDK-18): the
-chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the previous row in all
-axes.
+chip has no new reading for 1 to 2 ms at each passage, so that the row before it equals the previous one.
 """
 
 from __future__ import annotations

@@ -238,11 +238,9 @@ def _sides(bins: int) -> Floats:
 
 
 def degrees_of_freedom(segments: int, runs: int) -> float:
-    """Return the degrees of freedom of the mean of `segments` periodograms in `runs` runs, for noise: two each, reduced
-    by the overlap.
+    """Return the degrees of freedom of `segments` periodograms in `runs` runs: two each, less by overlap.
 
-    Periodograms of neighbouring segments correlate by 1/36, others don't: 2 K / (1 + 2 (K - R) / K / 36) (Welch 1967).
-    0 without a segment.
+    Neighbours correlate by 1/36: 2 K / (1 + 2 (K - R) / K / 36) (Welch 1967). 0 without a segment.
     """
     if segments == 0:
         return 0.0
@@ -262,8 +260,7 @@ _SLOW_SEGMENTS = 5
 
 def slow_welch(rate_hz: float, run_rows: int, columns: int) -> SlowWelch | None:
     """Return the estimator for low frequencies, with few periods in the normal segments for runs of `run_rows`. It uses
-    at least five segments per run, of at most `SEGMENT` decimated rows. None if the runs are too short for longer
-    segments than the normal ones.
+    at least five segments per run, of at most `SEGMENT` decimated rows. None if runs are too short for longer segments.
     """
     factor = int(segment_rows(run_rows) * _SLOW_SHARE)
     if factor < 2:

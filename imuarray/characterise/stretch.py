@@ -26,8 +26,7 @@ alternating order has short and long intervals in turn, and the long ones are no
 
 @dataclass(frozen=True)
 class Stretch:
-    """The part of a log that is characterised: a phase, or all of it (`phase` None); `chosen_by` states the reason for
-    the choice.
+    """The part of a log that is characterised: a phase, or all (`phase` None); `chosen_by` is the reason.
 
     Rows between the times of `left_out` (ns) do not count as readings at rest; `remark` states the reason.
     """

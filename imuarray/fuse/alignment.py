@@ -1,15 +1,13 @@
 """Alignment of all sensor axes of one quantity to one time grid, as a pure function of the readings around it.
 
-`RowWindow` holds the rows of one sensor as they arrive, as long as they are required. `choose_grid` selects the times
-of the frames: those of a sensor that is read in the middle of a frame and, while it is silent, those of other sensors.
-`align` computes the frames.
+`RowWindow` holds the rows of one sensor as long as they are required. `choose_grid` selects the times of the frames:
+those of a sensor read in mid-frame and, while it is silent, those of other sensors. `align` computes the frames.
 
 Each sensor contributes its nearest reading within half a frame. A reading belongs to an instant some time before it was
 read; the change of the motion between that instant and the frame is removed with the slope of the array's own mean. The
-noise of the mean is much smaller than that of one sensor, so no reading is smoothed by its neighbours, and the mean is
-robust against a sensor that fails (`imuarray.fuse.least_squares.consensus`). Its derivatives are those of cubic splines
-that do not extend across gaps. Values are calibrated, in SI, along each sensor axis, with the bias at the temperature
-of the reading if that is known.
+mean has much less noise than one sensor, so no reading is smoothed, and it is robust against a sensor that fails
+(`imuarray.fuse.least_squares.consensus`). Its derivatives are those of cubic splines that do not extend across gaps.
+Values are calibrated, in SI, along each sensor axis, with the bias at the temperature of the reading if that is known.
 
 The slope m' of a spline through white noise has 1.18 times the standard deviation of the noise, per frame, and
 increases the variance of the mean of readings with the mean delay d, in frames, by ``9 (2 / sqrt 3 - 1) d^2`` of its
@@ -157,8 +155,7 @@ class FrameGrid:
 
 
 def choose_grid(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> FrameGrid:
-    """Return the grid with the smallest mean delays, by the `first` rows (at most `FIRST_ROWS` of each sensor);
-    FusionError if there are too few.
+    """Return the grid with the smallest mean delays, by the `first` rows of each sensor; FusionError for too few.
 
     The correction for the delay of a reading uses a slope with noise, so the noise of a quantity grows with the mean
     delay of its sensors. The largest of these means over the quantities (`groups` of sensors) is minimised.

@@ -8,10 +8,9 @@ gravity with height, which add less than 1 % in a minute, are neglected)::
     d tilt / dt     = C rate_error
     d velocity / dt = C force_error + tilt x (C force)
 
-with C the true attitude from box to that frame and `tilt` the small rotation from the true attitude to that of the
-navigator. At rest C is the identity and C force is gravity's reaction g upwards, so that a constant rate error b about
-a level axis gives a tilt b t and a velocity g b t^2 / 2. Heading is the tilt about the vertical: about box Z of a box
-that stood upright.
+with C the true attitude from box to that frame and `tilt` the small rotation from it to the navigator's. At rest C is
+the identity and C force is gravity's reaction g upwards, so that a constant rate error b about a level axis gives a
+tilt b t and a velocity g b t^2 / 2. Heading is the tilt about the vertical: box Z of an upright box.
 """
 
 from __future__ import annotations

@@ -77,8 +77,7 @@ def nearest_readings(
 ) -> bool | None:
     """Set the readings of one sensor nearest to each time of the increasing `grid` (n,) from `rows`: time (k,), k > 0,
     counts (k, 3) and status (k,); the `factors` are bias and scale (3,) in counts. Return whether each valid reading is
-    in one frame only; None without compiled code, for counts that are not int16, and if a row in use has a special
-    flag.
+    in one frame only; None without compiled code, for other counts than int16, and for special flags.
     """
     time, counts, status = rows
     if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:

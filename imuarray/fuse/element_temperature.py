@@ -49,13 +49,11 @@ def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
 def element_temperatures(
     log: Log, sensors: Iterable[SensorLog], calibration: Calibration, *, of_all: bool = False
 ) -> dict[str, TemperatureSeries]:
-    """Return the temperature that the bias of each sensor follows, after its lag, by sensor: one row per 5 s, or
-    longer.
+    """Return the temperature that each sensor's bias follows, after its lag: a row per 5 s or more.
 
     The thermometer is the one that `calibrate thermal` uses: barometer, `/reference`, the chip's own thermometer, or
     that of another chip. Sensors without slopes or without a compatible thermometer are omitted; slopes from a
-    thermometer without a zero are compatible only with such a thermometer. `of_all`: include sensors without slopes,
-    without a lag.
+    thermometer without a zero fit such a thermometer only. `of_all`: include sensors without slopes.
     """
     sensors = list(sensors)
     slopes = {sensor.name: slopes_of(calibration, sensor) for sensor in sensors}
@@ -94,9 +92,8 @@ def _after_lag(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureS
 
 @dataclass(frozen=True)
 class TemperatureMismatch:
-    """Difference between the temperature of a log and that at which a sensor was calibrated: the temperature of the
-    calibration and the mean one of the log (degC), the rms difference, and the uncertainty of the bias (3,) per degree,
-    in counts.
+    """Difference between the temperature of a log and that at which a sensor was calibrated: the calibration's, the
+    log's mean (degC), the rms difference, and the uncertainty of the bias (3,) in counts per degree.
     """
 
     sensor: str
@@ -219,8 +216,7 @@ class _Segment(NamedTuple):
 class CausalThermometer:
     """Temperatures of a stream of rows after the lags (k,), from rows that are at least `delay_s` old.
 
-    A time may be requested once all rows up to `delay_s` before it were added, and not long after later times were
-    requested.
+    A time may be requested once all rows up to `delay_s` before it were added, in about ascending order.
     """
 
     def __init__(self, lags_s: Sequence[float], delay_s: float = 0.0) -> None:
@@ -339,8 +335,7 @@ def causal_temperatures(
     all_sensors: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
 ) -> TemperatureSources:
     """Return element temperatures as `element_temperatures` does, from rows before a frame only: the barometer, the
-    chip's own thermometer, or that of another chip among `all_sensors`. A reference is known only afterwards and not
-    used.
+    chip's own thermometer, or that of another chip among `all_sensors`. A reference is known too late.
     """
     lags_by_source: dict[str, dict[str, float]] = {}
     for sensor in sensors:

@@ -50,8 +50,7 @@ class Error:
 
 
 def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, Error]:
-    """Return the errors of a fused result with respect to `/truth` (or `/reference`) by quantity, inside `phases`
-    (empty: everywhere).
+    """Return a result's errors against `/truth` (or `/reference`) by quantity, in `phases` (empty: all).
 
     FusionError if the log has neither.
 

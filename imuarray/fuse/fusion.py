@@ -73,8 +73,7 @@ def prepare_inputs(
     ranges: Ranges = NO_RANGES,
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> FusionInputs:
-    """Prepare `calibration` for the fusion of `log` by `technique` (None: by any), with `only` these sensors (empty:
-    all).
+    """Prepare `calibration` for the fusion of `log` by `technique` (None: any), `only` these sensors (empty: all).
 
     Biases become those of the states in which the sensors started, and sensors with a start-up fault are excluded; this
     includes a start in another range, for chips whose sensitivities by range are in `ranges`

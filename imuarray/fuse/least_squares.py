@@ -119,12 +119,10 @@ class AxisNoise:
         return covariance if self.delay_noise is None else covariance + self.by_delays(gains)
 
     def by_delays(self, gains: Floats) -> Floats:
-        """Return the change (n, 6) of the covariances of triads with `gains` (n, 3, m), or (1, 3, m) for all, by the
-        correction of delays.
+        """Return the covariances' change (n, 6) by corrected delays, with `gains` (n, 3, m) or (1, 3, m).
 
         A triad becomes ``gains @ readings - M @ (noise of the slope)``, where M is the gain for readings along `rows`
-        that are as large as the shares of the noise. The first shares are the weights of the frame's own readings in
-        the slope.
+        that are as large as the shares of the noise. The first shares are those of the frame's own readings.
         """
         plain = whole_gain(np.ones(len(self.rows)), self.rows) * self.rms
         if self.delay_noise is None or not np.isfinite(plain).all():

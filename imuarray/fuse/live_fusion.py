@@ -1,5 +1,4 @@
-"""Fusion during a recording, in a separate thread: the recording does not wait for it and is not affected by its
-failure.
+"""Fusion during a recording, in a separate thread: the recording neither waits for it nor fails with it.
 
 Rows pass through a bounded queue. If it is full, rows are dropped and counted until half of it is free again; the log
 contains all rows, so `imuarray fuse` can fuse them later.
@@ -56,8 +55,7 @@ def default_path(log: Path) -> Path:
 
 @dataclass(frozen=True)
 class FusionOutput:
-    """Destination of the result: the file `path` of the log `log`; with `rotate_s`, one file for each part of that
-    length.
+    """Destination of the result: the file `path` of the log `log`; with `rotate_s`, one file per part of this length.
 
     `technique` and `calibration_file` are noted in the files; `force` overwrites existing ones.
     """
@@ -80,8 +78,7 @@ class FusionOutput:
 class FusedFiles:
     """Writes fused frames, each to the file of the part that contains its time.
 
-    For a log RUN.h5 in parts RUN_001.h5, RUN_002.h5, ... the results are RUN_001_fused.h5, ..., or, with another output
-    name, FUSED_001.h5, ...
+    A log in parts RUN_001.h5,... has results RUN_001_fused.h5,..., or with another output FUSED_001.h5,...
     """
 
     def __init__(self, output: FusionOutput, *, epoch: str, sensors: Mapping[str, Sequence[str]]) -> None:

@@ -1,5 +1,4 @@
-"""Style of the figures of the gap and validation pages: panel, colours, logarithmic axes with plain numbers, safe
-names.
+"""Style of the figures of the gap and validation pages: panel, colours, logarithmic axes, safe names.
 
 Black is the recording, orange the simulation before the causes were added, blue after.
 """

@@ -42,8 +42,7 @@ _NOISE = 0.2
 @dataclass(frozen=True)
 class PageContext:
     """The data that the sections of all files share: the calibrations, merged in their order, whether there are
-    figures, the callback for the share of the file that is done, and the number of processes, on which the result
-    does not depend.
+    figures, the callback for the share of the file that is done, and the number of processes.
     """
 
     calibration: Calibration

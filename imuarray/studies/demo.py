@@ -48,8 +48,7 @@ Rows = Sequence[tuple["GainCase", Gain]]
 
 @dataclass(frozen=True)
 class GainCase:
-    """One comparison of a technique with the average, on some sensors of one run, by the scatter or by the drift of the
-    error.
+    """A comparison of a technique with the average, on sensors of a run, by scatter or drift of the error.
 
     `claim` is the quantity for which the paper expects a gain in this case, "" if it expects none.
     """

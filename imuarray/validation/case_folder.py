@@ -18,8 +18,7 @@ A truth is one object of JSON; keys in brackets are optional:
     [experiments]  a list of names, which makes the plan; [sensors]: chips by the names of sensors; [strata]: words
     [control]    the number of the case that is the same recording without the effects
 
-Other keys are kept and ignored. An effect that has only names of nuisance quantities is ignored, because it is within
-the tolerances of parts.
+Other keys are kept and ignored, as are effects that are only nuisance quantities: they are within tolerances.
 """
 
 from __future__ import annotations

@@ -4,8 +4,7 @@ A case is submitted with a folder's path and returns its state. The worker write
 not at all; they do not depend on the worker, the number of workers or the order.
 
 A worker may die because of its case (memory, a crash of compiled code) or for another reason. Each start of a case is
-first recorded in the folder, so that no case starts a third time, whether this process or a cluster's scheduler
-resubmits it.
+first recorded in the folder, so that no case starts a third time, whoever resubmits it.
 
 The cases run in processes of this machine or in the workers of a Dask cluster. Both report in which case a worker died.
 A `ProcessPoolExecutor` cannot: when one of its processes dies, all submitted calls fail. Each process here is therefore
@@ -50,9 +49,8 @@ def executor_of(text: str, workers: int) -> Iterator[Workers]:
     scheduler's address, "tcp://host:port", with all its workers.
 
     A cluster's workers need this version of the package and the same folder under the same path; one thread each (`dask
-    worker --nthreads 1`), because the calls of all threads are lost with a worker; and one BLAS thread, which is Dask's
-    default without --no-nanny. ConfigError for another text, MissingExtraError without Dask, ImuArrayError if no
-    scheduler answers.
+    worker --nthreads 1`), because the calls of all threads are lost with a worker; and one BLAS thread, Dask's default
+    without --no-nanny. ConfigError for other texts, MissingExtraError without Dask, ImuArrayError without an answer.
     """
     if text == "processes":
         with Processes(workers) as here:

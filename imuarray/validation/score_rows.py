@@ -1,6 +1,5 @@
 """The figures of a validation run, each with its interval, its bar, and its cells: false alarms and detection by
-severity, causes against the sealed truth, closed shares against an oracle that knows the effects, probabilities, and
-time.
+severity, causes against the sealed truth, closed shares against an oracle, probabilities, time.
 """
 
 from __future__ import annotations
@@ -44,8 +43,7 @@ _ROUNDING = 1e-9
 @dataclass(frozen=True)
 class ScoreRow:
     """A figure: `value` with its 95 % interval over `cases`; `about` describes what is counted. `cells` are the same
-    figure for parts of the cases; `group` names the property by which they are divided ("plan", "severity",
-    "mechanism", ...).
+    figure for parts of the cases; `group` names the property of division ("plan", "severity",...).
     """
 
     name: str

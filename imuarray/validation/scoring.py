@@ -1,5 +1,4 @@
-"""The score of a validation run: its outcomes are compared with the sealed truth, and every figure has an interval and
-a bar.
+"""The score of a validation run: outcomes against the sealed truth; every figure has an interval and a bar.
 
 ::
 
@@ -7,8 +6,7 @@ a bar.
     print(format_text(figures))
 
 Random worlds are judged on all their plans, the fixed plans on the full one; the figures of the other plans are cells.
-Only lost cases are omitted, and they are listed. The figures of detection and causes exclude effects that a plan cannot
-show; these have a separate row.
+Only lost cases are omitted, and they are listed. Effects that a plan cannot show have a separate row.
 
 Each world has its own figures. The loss of a figure from the emulated worlds, on which the diagnosis was developed, to
 another world is its transfer gap. It estimates the loss on data from other sources; a comparison of the cases with one

@@ -183,8 +183,7 @@ class _LogPair:
 
 def _unknown_tilt(log: Log, sensor: SensorLog) -> float:
     """Return one sigma of the unknown angle of the box in rad that changes the readings of a sensor: 0 for other
-    quantities and if other accelerometers also show the attitude; practically unbounded if no phase states which axis
-    was up.
+    quantities and if other accelerometers also show the attitude; unbounded if no phase states it.
     """
     forces = [other for other in log.sensors.values() if other.quantity == "specific_force"]
     if sensor.quantity != "specific_force" or len(forces) > 1:
@@ -519,8 +518,7 @@ def _row_sigma(counts: Floats, quiet: Booleans) -> Floats:
 
 def _rounding_share(row_sigma: Floats, step: int) -> Floats:
     """Return (3,) half the relative amplitude at which the share of codes of a residue class modulo `step` varies with
-    the level of a rounded normal quantity: its first harmonic. Divided by pi, for a step of 1, it is the amplitude of
-    the error of the mean code.
+    the level of a rounded normal quantity: its first harmonic. Over pi, for a step of 1, it is the mean code's error.
     """
     return np.asarray(np.exp(-2 * (pi * row_sigma / step) ** 2))
 

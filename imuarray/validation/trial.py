@@ -1,5 +1,4 @@
-"""One case from its recording to its outcome: the generator records it, it is diagnosed blindly and then once more by
-an oracle.
+"""One case from its recording to its outcome: recorded by the generator, diagnosed blindly, and by an oracle.
 
 The diagnosis receives the paths of the logs, the effects that are withheld from its library and the model. Only the
 oracle receives the active mechanisms; its library contains nothing else.

@@ -108,8 +108,7 @@ class WorldSensor(NamedTuple):
 @dataclass(frozen=True)
 class World:
     """The draw of one seed. `array` is its TOML text and `sensors` are those in it, by name; `sessions` are the logs,
-    `room` and `recorder` their conditions, all as tables of the generator; `strata` names the properties by which
-    figures are broken down.
+    `room` and `recorder` their conditions, all as tables of the generator; `strata` are the properties of breakdowns.
     """
 
     seed: int
@@ -300,8 +299,7 @@ def _rates(
     even: Mapping[str, float], sensors: list[Table], kinds: Sequence[str], random: np.random.Generator
 ) -> tuple[float, dict[str, float]]:
     """Return the frame rate, which is the highest that the draw, the bus and the budget of rows allow, and the reading
-    rate of each sensor. In a third of the worlds, all samples of some accelerometers and gyroscopes are read from the
-    chip's queue.
+    rate of each sensor. In a third of the worlds, some inertial chips' queues are read.
     """
     wanted = RATES_HZ[int(even["rate"] * len(RATES_HZ))]
     queued = [sensor for sensor in sensors if CHIPS[sensor["chip"]].has_fifo]

@@ -293,8 +293,7 @@ _CORRELATION_READING = (
 def autocorrelation_figure(result: Table) -> Figure:
     """Autocorrelations from lag 1 on, with the 95 % band of no correlation (of the sensor with the fewest rows).
 
-    Axes whose p-value, times the number of axes, is up to 1 % are drawn in colour. MissingExtraError if there is no
-    matplotlib.
+    Axes whose p-value, times the number of axes, is up to 1 % are in colour. MissingExtraError without matplotlib.
     """
     level = FALSE_ALARM / count_axes(result)
     captions = Captions(

@@ -52,8 +52,7 @@ class DriftCheck(NamedTuple):
 class WindowSeries:
     """k consecutive windows of n frames of m axes with known noise: `variance` (m,) of single readings.
 
-    `time` (k, n) ns, `values` (k, n, m) in SI; the axes `out` (m,) are excluded, `white` is the parity space of the
-    others.
+    `time` (k, n) ns, `values` (k, n, m) in SI; axes `out` (m,) are excluded, `white` is the others' parity space.
     """
 
     def __init__(

@@ -1,5 +1,4 @@
-"""Fault isolation for one quantity: which sensors are excluded in each decision window, why, and when they are
-readmitted.
+"""Fault isolation for one quantity: which sensors are excluded in each window, why, and until when.
 
 The decisions use the hypotheses of `imuarray.fuse.faults.hypotheses` and two kinds of evidence from single sensors.
 `Silence` counts the windows in which a sensor is missing or excluded by the log's flags, until they are reported.

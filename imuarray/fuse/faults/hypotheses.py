@@ -201,8 +201,7 @@ class Suspect:
 def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 0.0) -> Suspect | None:
     """Return the most likely fault of a window, None if it shows none.
 
-    `disagreement` is the variance of single readings (SI) by which the sensors differ from each other beyond noise in
-    this window.
+    `disagreement` is the variance of single readings (SI) by which sensors differ beyond noise in this window.
     """
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)
@@ -238,12 +237,10 @@ _USUAL_READING = 9.0
 
 def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
     """Return the variance (SI) of single readings by which at least half of the sensors differ from the others in this
-    window, beyond noise, on average or in one frame; 0 if fewer do, infinite if too few have three complete readings,
-    for example if most clip.
+    window, beyond noise, on average or in one frame; 0 if fewer do, infinite if too few have three readings.
 
     Chips sample a knock, or motion that is too fast for the rate of the rows, at different times, so that all of them
-    disagree at once; a knock may end within one frame. One faulty sensor of four or more does not contribute, because
-    each is compared with the median.
+    disagree at once; a knock may end within one frame. The median ignores one faulty sensor of four.
     """
     shown: Booleans = np.asarray((seen.residual != 0).T.reshape(-1, 3, len(seen.triad)).all(axis=1))  # (s, n)
     used: Booleans = np.asarray(seen.included.reshape(-1, 3).any(axis=1))
@@ -274,8 +271,7 @@ _CERTAIN_MOTION = 100.0
 
 
 def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
-    """Return the variance (SI) of single readings by motion that is too fast for the rate of the rows; 0 if there is no
-    such motion.
+    """Return the variance (SI) of single readings by motion too fast for the rows' rate; 0 without any.
 
     A reading that is late by `DELAY_S` is off by that times the slope of the motion. In rows T apart, a sine of
     frequency f has first differences with a mean square of ``2 sin(pi f T)^2`` and second differences with ``(2 sin(pi
@@ -296,8 +292,7 @@ def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
 
 def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     """Return the limit (m,) of the energy of noise of this `colour` (m,). The share `lasting` (m,) of the variance, the
-    uncertainty of the calibration, may be the same error in all readings of the window, of at most 7 standard
-    deviations.
+    uncertainty of the calibration, may be one error of all readings, of at most 7 sigmas.
     """
     nats = _ENERGY_NATS * colour
     by_noise = frames + 2 * np.sqrt(frames * nats) + 2 * nats

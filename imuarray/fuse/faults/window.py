@@ -1,12 +1,10 @@
-"""Decision windows of an array: their readings, their parity residuals, the size effect, and the normal behaviour of
-each axis.
+"""Decision windows of an array: readings, parity residuals, size effect, and each axis' normal behaviour.
 
 The parity space of an array is the part of its readings that no motion of the box can explain. Readings of one instant
 are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an excluded axis), ``A = W - W rows
 (rows' W rows)^-1 rows' W`` removes the truth, and ``d = A @ values`` depends on the errors only. The generalised
 likelihood ratio of "these axes F have an error, of any size" against "none has" is ``d_F' A_FF^-1 d_F``, chi-square
-with as many degrees of freedom as axes (Daly, Gai and Harrison, Journal of Guidance and Control 2, 1979; Sturza,
-Navigation 35, 1988).
+with as many degrees of freedom as axes (Daly, Gai and Harrison, J. Guid. Control 2, 1979; Sturza, Navigation 35, 1988).
 
 The size effect (`lever_arms`) is the additional specific force at sensors away from the origin while the box turns.
 `WindowResiduals` are the residuals of one window with respect to the included axes.
@@ -247,8 +245,7 @@ def slopes(time: Times, triads: Floats) -> Floats:
 
 def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats) -> Floats:
     """Return the specific force (n, m) along axes `rows` (m, 3) at `positions_m` (m, 3) less that at the origin, in
-    m/s2, of a box that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). Unknown rates
-    (NaN) count as 0.
+    m/s2, of a box that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). NaN counts as 0.
     """
     rate = np.nan_to_num(rate_box)
     turning = slope(time, rate)[:, None, :]
@@ -311,8 +308,7 @@ _KEPT = 1024
 
 class Spaces:
     """Parity spaces of one set of axes, and the gains of frames that lack readings. The results for the last weights
-    are cached: weights change only when a sensor is excluded, and sensors of different rates leave the same gaps in
-    every window.
+    are cached: weights change only when a sensor is excluded, and gaps are the same in every window.
     """
 
     def __init__(self, rows: Floats) -> None:

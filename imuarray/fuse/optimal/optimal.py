@@ -13,9 +13,8 @@ estimated slow errors are reported as notes.
 The size effect is the specific force at accelerometers away from the origin of the box frame while the box turns. A
 sensor at r measures f + alpha x r + omega x (omega x r) (rigid-body kinematics). The last term is removed with the
 angular rate of the gyroscopes, and the angular acceleration alpha adds three unknowns to every frame; along an axis s
-of a sensor it contributes alpha . (r x s). The angular rate of three neighbouring frames gives an additional reading of
-alpha: the slope, at the last of them, of the parabola through them, which unlike a plain difference does not lag behind
-a steady change of alpha.
+of a sensor it contributes alpha. (r x s). The angular rate of three neighbouring frames gives an additional reading of
+alpha: the slope, at the last of them, of the parabola through them, which does not lag behind a steady change.
 """
 
 from __future__ import annotations
@@ -223,11 +222,9 @@ class Optimal:
     def smoothed(
         self, blocks: Callable[[], Iterator[tuple[Mapping[str, Frames], Temperatures | None]]]
     ) -> Iterator[tuple[Times, dict[str, Estimate]]]:
-        """Yield time (n,) and estimates of every block, with the information of all frames; independent of earlier
-        calls.
+        """Yield time (n,) and estimates of every block by all frames, independent of earlier calls.
 
-        `blocks` returns the consecutive blocks of a log, frames and temperatures, from its beginning; it is called
-        twice.
+        `blocks` returns a log's blocks, frames and temperatures, from the beginning; it is called twice.
         """
         groups = self._latest = self._create_groups(recording=True)
         with ExitStack() as spools:

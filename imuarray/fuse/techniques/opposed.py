@@ -16,8 +16,7 @@ because units with different initial biases may have the same drift. For the cha
 whole time since the start.
 
 `capabilities` states for every pair of anti-parallel axes, from a calibration, which errors it can cancel: the mean of
-a pair, with opposite signs, contains half the difference of the two errors, of the slopes with temperature and of the
-biases.
+a pair, with opposite signs, contains half the difference of their slopes and biases.
 """
 
 from __future__ import annotations
@@ -313,8 +312,7 @@ class Smoother:
 
 
 def opposed(axes: Sequence[Axis]) -> Technique:
-    """Return the technique that estimates the error that all units of a design share from anti-parallel axes, and
-    removes it (paper, section 2.1).
+    """Return the technique that removes a design's common error, by anti-parallel axes (paper, section 2.1).
 
     It cancels errors that are equal in all units, as far as these agree: the level at the start, drift with
     temperature, the mean of even-order terms. With equal numbers of axes in both directions the average cancels them

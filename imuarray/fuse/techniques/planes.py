@@ -158,8 +158,7 @@ def changes(axes: Sequence[Axis]) -> list[str]:
 
 
 def plane_weights(axes: Sequence[Axis]) -> Floats:
-    """Return the weights (m,): within a design 1 for the better kind of axis and the ratio of the mean squared errors
-    for the other.
+    """Return the weights (m,): within a design 1 for the better kind of axis, for the other the ratio of mean squares.
 
     Kinds with similar errors have the weight 1, because weights would gain little. The squares are means over the
     design's units and ranges, each relative to the three axes of its unit, so that only the plane has an effect.

@@ -2,8 +2,7 @@
 
 `Fading` determines how far a low-range sensor may be trusted (away from the end of its range, its filter settled),
 `Tracker` tracks the differences between each axis and the blend of all axes (a bias, a scale and a delay) while all of
-them are trusted, and `RangeBlend` combines the two with inverse-variance weights: the low range fades out, the rest
-keeps its level.
+them are trusted, and `RangeBlend` combines the two with inverse-variance weights: the low range fades out.
 
 `Blends` are the weighted means of any set of an array's axes, with the share of each axis's error that is visible with
 respect to them. For an axis along ``r`` the residual with respect to the blend B of all axes is ::
@@ -432,8 +431,7 @@ class Tracker:
         return DifferenceStates(which, *self._corrections(*self._learn(segments)))
 
     def _corrections(self, differences: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-        """Return the differences (k, m, 3) for corrections, and their covariances (k, m, 3, 3) as in
-        `DifferenceStates`.
+        """Return the differences (k, m, 3) for corrections, and covariances as in `DifferenceStates`.
 
         A scale or delay that is not significant is reduced, or set to zero, so that sensors that agree do not get
         worse; the bias changes with it, and the covariance includes the omitted part.
@@ -524,8 +522,7 @@ FOLLOWED_PERIODS = 3
 
 class RangeBlend:
     """Low and high measuring ranges blended by inverse variance (paper, section 2.3; there of one design, here also of
-    designs with one range each), `range_weights`; a low range fades out before its end and returns when it has settled
-    (`Fading`).
+    designs with one range each), `range_weights`; a low range fades out before its end until settled (`Fading`).
 
     The differences between the axes (`Tracker`) are removed from each of them. Which axis is right is unknown, so the
     level of the whole blend is kept, and while the low range is out the others are corrected to that level. The

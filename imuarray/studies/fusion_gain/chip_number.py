@@ -46,9 +46,8 @@ _RAD_PER_ROOT_S = math.degrees(1.0) * 60.0  # as degrees per root hour
 @dataclass(frozen=True)
 class NumberRow:
     """Results with the first `count` gyroscopes, rms over seeds and axes: angle random walk of their mean in
-    deg/sqrt(h); drift of the mean in deg/s during heating with an individual slope for each unit, with a shared slope
-    and all units in one direction, and with a shared slope and units as the array is mounted; bus time of a frame in
-    us.
+    deg/sqrt(h); drift of the mean in deg/s during heating with a slope for each unit, with a shared slope and units in
+    one direction, and with a shared slope and units as the array is mounted; bus time of a frame in us.
     """
 
     count: int

@@ -1,9 +1,8 @@
 """The Bayesian Cramer-Rao bound of an array whose errors have a known distribution, and the estimate that reaches it.
 
-Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. u is unknown in every frame (a flat prior, independent in
+Reading i of axis k is ``d_k. u(t_i) + c_k(t_i) + w_k(t_i)``. u is unknown in every frame (a flat prior, independent in
 time); the slow errors c are jointly normal, the noise w is white. The model is linear and normal, so the bound (Van
-Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) equals the posterior covariance and is
-reached.
+Trees, Detection, Estimation, and Modulation Theory I, 1968, 2.4) is the posterior covariance.
 
 Let N = R^-1/2 whiten the noise, let the columns of V be an orthonormal basis of the complement of the range of N D (the
 parity space: m - 3 directions), and let G = (D' R^-1 D)^-1 D' R^-1 be the weights of a single frame. Then::
@@ -13,8 +12,7 @@ parity space: m - 3 directions), and let G = (D' R^-1 D)^-1 D' R^-1 be the weigh
 
 because G w and V' N w are uncorrelated. Over a stretch in which c is constant, L frames of y are equivalent to their
 mean with noise of variance 1 / L, so frames are aggregated without loss, at any rate of the log. c at all stretches is
-one normal vector (T m,), which is conditioned on one stretch after the other by dense linear algebra, without a
-state-space form or a filter.
+one normal vector (T m,), which is conditioned on one stretch after the other by dense linear algebra.
 
 The causal bound of a stretch is conditioned on its own and all earlier readings; because these include all readings of
 the stretch, it is below the error of a filter within the stretch. The smoothed bound is conditioned on all readings.
@@ -277,8 +275,7 @@ def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
 
 STRETCHES = 60
 """Number of stretches of a log; those of the longest log last 11 s. Slow errors of the simulated array have time
-constants of 600 s. About its mean over 11 s, this error has 11 / 600 / 3 = 0.6 % of its variance, which is itself small
-compared with the noise.
+constants of 600 s. About its mean over 11 s, this error has 11 / 600 / 3 = 0.6 % of its variance.
 """
 
 

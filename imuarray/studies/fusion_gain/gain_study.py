@@ -1,11 +1,9 @@
 """The study: simulated experiments, fused by every technique and compared with the truth, the average and the bound.
 
 `run` simulates one experiment with one seed and measures every technique; `study` does all runs and summarises them as
-ratios with intervals over the seeds; `render_text` prints the result. `ARRAYS` are the simulated arrays, `SETS` the
-sensors that are fused together.
+ratios with intervals over the seeds; `render_text` prints the result. `ARRAYS` are simulated, `SETS` are fused.
 
-The calibrations are those that `calibrate` makes from simulated logs of the same units, recorded at other switch-ons
-than the logs that are fused.
+Calibrations are from simulated logs of the same units, at other switch-ons.
 """
 
 from __future__ import annotations
@@ -104,8 +102,7 @@ def simulate(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: 
 @lru_cache(maxsize=4)
 def calibrate_units(array_name: str, seed: int) -> Mapping[str, Calibration]:
     """Return the calibrations by name: "no slopes", biases and responses from the six faces with noise and turn-on;
-    "measured", the same with slopes from a heating log. The result is cached: all experiments with one seed have the
-    same units.
+    "measured", the same with slopes from a heating log. The result is cached: a seed has the same units.
     """
     array = ARRAYS[array_name]()
     with TemporaryDirectory(prefix="imuarray_study_") as folder, ExitStack() as stack:

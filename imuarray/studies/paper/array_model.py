@@ -28,8 +28,7 @@ are drawn, so a share 1 / (k + 1) of the variance is common to them (`shared`). 
 to a design (eight of nine gyroscope drifts are positive; ADXL345 z axes are noisier and drift down) are contained in
 the means. Parameters that cannot be negative are truncated at 0 and at the same distance above the mean.
 
-Faults of single units (two bias states, a range that is lost at power-on) are not part of the populations and are
-omitted.
+Faults of single units (two bias states, a range lost at power-on) are not part of the populations.
 """
 
 from __future__ import annotations
@@ -66,14 +65,12 @@ WINDOW_S = 300.0
 PARTS = 15
 """Number of consecutive windows, and of runs, of which Table 11 gives the standard deviation."""
 TIME_CONSTANT_S = 600.0
-"""Time constant in s of the in-run wander, the same for all channels. The paper does not print it; three columns
-bracket it.
+"""Time constant in s of the in-run wander, the same for all channels. Three columns of the paper bracket it.
 
 It is longer than 100 s. After subtraction of the drift with temperature, the first and last face of Table 10 differ by
 a median of 1.6 in-run deviations of Table 11; a time constant of 100 s predicts 0.64, 600 s predicts 0.94 and 3000 s
 predicts 1.4. The ratio of range to deviation of Table 11's fifteen windows is 3.39 on average; independent windows have
-3.54, and a time constant of 600 s gives 3.45. It is shorter than 1000 s, because x and y of BMA3 vary less from run to
-run than within a run.
+3.54, and a time constant of 600 s gives 3.45. It is shorter than 1000 s, since BMA3's x and y vary more within a run.
 """
 
 
@@ -328,8 +325,7 @@ Table = dict[str, object]
 
 NOISE_BANDWIDTH_HZ = {"adxl345": 800.0, "l3g4200d": 35.0}
 """Bandwidths in Hz of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32),
-and 35 Hz (this gives 0.03 dps/sqrt(Hz), L3G-74). The paper does not state that of the BMA180; its noise is used as
-printed.
+and 35 Hz (this gives 0.03 dps/sqrt(Hz), L3G-74). That of the BMA180 is unknown; its noise is as printed.
 """
 
 

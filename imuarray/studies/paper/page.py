@@ -261,8 +261,7 @@ def _simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
 
 
 def recomputed_text(cell: Cell, printed: str) -> str:
-    """Return the recomputed value, as printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after
-    any other.
+    """Return the recomputed value, as printed if equal, with "≈" if within its inputs' rounding, else with "≠".
 
     The sign is omitted if the printed number is shown without a sign.
     """
@@ -422,8 +421,7 @@ def write_paper_page(
 ) -> None:
     """Write the page; figures are those of `observed` data; without them (None) the page states that they are missing.
 
-    OutputExistsError if the file exists and `force` is false; MissingExtraError without jinja2, or with `observed`
-    without matplotlib.
+    OutputExistsError if the file exists without `force`; MissingExtraError without jinja2 or matplotlib.
     """
     recomputed, result = recomputed_rows(), recompute()
     lines = list(_summary(replica, result))

@@ -25,8 +25,7 @@ axis. The transformation of a reading to the box frame multiplies it by the sign
 drifts with (s1 k1 + s2 k2) / 2. A drift with the same sign in both sensors remains for parallel axes and cancels for
 opposed axes; for drifts of opposite sign the reverse is true. Directions are those of Table 10's responses for
 accelerometers and of Table 1 for gyroscopes. During the heating +Z was up: an accelerometer axis along box Z measured 1
-g, so its slope is the sum of bias drift and scale-factor drift, which cannot be separated with a single orientation
-(`carries_1g`).
+g, so its slope is the sum of bias drift and scale-factor drift, which one orientation cannot separate (`carries_1g`).
 """
 
 from __future__ import annotations

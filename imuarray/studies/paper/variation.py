@@ -16,8 +16,7 @@ and divided so that the scatter within the two parts, over all three axes, is sm
 
 Blending of two ranges (Table 10): the best weights for the average of two readings of one quantity with independent
 noise s_low and s_high are proportional to 1 / s^2; the noise s of the mean is then given by 1 / s^2 = 1 / s_low^2 + 1 /
-s_high^2. The noise of the plain average is sqrt(s_low^2 + s_high^2) / 2. In-plane and out-of-plane axes are compared by
-columns of Tables 8, 10 and 11.
+s_high^2. The noise of the plain average is sqrt(s_low^2 + s_high^2) / 2. Planes are compared by Tables 8, 10 and 11.
 
 The logging rate follows from a standard deviation and the standard error of the mean: the number of samples is n = (std
 / sem)^2, which divided by a known duration is a rate. All channels of one log were read equally often, so a single
@@ -56,8 +55,7 @@ _SOURCES = {"BMA1": 6, "Gyro3": 7}
 _RUNS = 15
 _NORMAL_RANGE = 3.534
 """Mean ratio of range to sample standard deviation of fifteen normal numbers: 3.4718 (the mean range, Tippett 1925)
-divided by 0.98232 (the mean deviation). The ratio is independent of the deviation (Basu), so its mean is the quotient
-of the means.
+divided by 0.98232 (the mean deviation). The ratio is independent of the deviation (Basu).
 """
 
 
@@ -139,11 +137,9 @@ def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
 
 
 def range_over_deviation() -> dict[str, Any]:
-    """Return the ratios of the ranges of fifteen means to their standard deviations in Table 11, and the possible
-    interval.
+    """Return the ratios of range to deviation of fifteen means in Table 11, and the possible interval.
 
-    `rows` contain the two series of each channel; `mean` is over the inertial channels, `normal` is the mean ratio of
-    fifteen normal numbers.
+    `rows` are two series per channel; `mean` is over inertial ones, `normal` of fifteen normal numbers.
     """
     least, most = (1 / bound for bound in reversed(deviation_bounds(1.0, _RUNS)))
     forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}

@@ -365,8 +365,7 @@ def deviation_spread(channel: str, half: str) -> float:
 
 
 def _step_of_fault(channel: str) -> float:
-    """Return the relative uncertainty of the distance of the faulty run from the others; 0 for a sensor without a
-    faulty run.
+    """Return the relative uncertainty of the faulty run's distance from the others; 0 without a faulty run.
 
     This distance scatters by seven times the day-to-day change and by eight times the run-to-run change.
     """

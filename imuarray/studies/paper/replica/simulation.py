@@ -1,5 +1,4 @@
-"""The paper's experiments on the simulated array: statistics of every sensor's readings, window by window; rows are not
-stored.
+"""The paper's experiments on the simulated array: statistics of all readings, window by window, without their rows.
 
 The stimulus is as printed: Table 10's face temperatures, Table 11's mean temperatures and their deviations (a linear
 drift within the continuous run; from run to run the shape of BMA1's own thermometer in Table 6), the profile of the

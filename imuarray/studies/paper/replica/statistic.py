@@ -131,8 +131,7 @@ def thermometer_residual(channel: str) -> float:
 
 def log_deviation(windows: Floats, extra: float) -> float:
     """Return the standard deviation of ln s. s is the sample standard deviation of numbers with covariance `windows`
-    (n, n) plus fixed differences of variance `extra`; the result is half the relative spread of a quadratic form in
-    normal numbers.
+    (n, n) plus fixed differences of variance `extra`: half the relative spread of a quadratic form.
     """
     count = len(windows)
     middle = windows - windows.mean(axis=0)
@@ -188,8 +187,7 @@ def between_units(channel: str, column: str) -> float:
 
 def level_parts(channel: str) -> tuple[dict[str, float], float]:
     """Return the error of a level with +Z up on a day other than that of Table 10: its parts, and the share of their
-    variance that all of these levels of the channel have in common (that of the day of Table 10, and that of the face
-    relative to the fit).
+    variance that all of these levels of the channel have in common (the day of Table 10, and the face against the fit).
     """
     days, face = day_to_day(channel), face_residual(channel)
     parts = {"day-to-day": sqrt(2) * days, "face repeatability": face}
@@ -273,8 +271,7 @@ class AgreementSummary:
     `independent` ones per degree, and the interval `expected` (95 %) for it.
 
     Statistics with a common cause are correlated. With correlations r, the mean of n squares of unit normals has the
-    variance 2 sum(r_ij^2) / n^2, which is that of chi-square divided by its n^2 / sum(r_ij^2) degrees of freedom; this
-    number is `degrees`.
+    variance 2 sum(r_ij^2) / n^2, which is that of chi-square divided by its n^2 / sum(r_ij^2) `degrees` of freedom.
     """
 
     count: int
