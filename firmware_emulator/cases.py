@@ -232,9 +232,7 @@ def call_it_reference(path: Path) -> None:
 
 
 def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> None:
-    """Rewrite the reference of a log at its own rate, with times of a separate, exact clock, from `begun_ns` of the
-    world on.
-    """
+    """Rewrite a log's reference at its own rate and exact clock, from `begun_ns` of the world on."""
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = experiment.world.commanded if isinstance(experiment.world, Course) else experiment.world
     stimuli = [world(begun_ns + at_ns) for at_ns in times.tolist()]

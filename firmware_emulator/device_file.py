@@ -125,9 +125,7 @@ class Adapter:
         return OpenFile(self)
 
     def transfer(self, messages: Sequence[Message]) -> list[bytes]:
-        """Transfer a START, messages joined by repeated STARTs, and a STOP (LNX-06); return the bytes of each read.
-        OSError like that of the kernel.
-        """
+        """Transfer START, messages with repeated STARTs, STOP (LNX-06); return each read. OSError of the kernel."""
         self._check(messages)
         if self.stuck:
             self.wire.clock.advance(self.timeout_ns)

@@ -190,9 +190,7 @@ def noise_of(published: PublishedUnit) -> Triple:
 
 
 BMA180_NOISE_EXPONENT = math.log(17.05 / 9.53) / math.log(16 / 1.5)
-"""Exponent of the noise over the full scale, from the mean noise in mg of the paper's six axes at 16 g and at 1.5 g
-(Table 10); the data sheet states only that at 2 g (PAP-05).
-"""
+"""Exponent of noise over full scale, from the paper's six axes at 16 g and 1.5 g (Table 10); PAP-05: 2 g."""
 BMA180_SCALE: dict[float, float] = {1: 0.02, 1.5: 0.02, 2: 0.015, 3: 0.02, 4: 0.02, 8: 0.025, 16: 0.03}
 """Relative tolerance of the scale by range in g: BMA-70 ... BMA-76."""
 
@@ -244,9 +242,7 @@ _HMC5883L = Tolerances(
     noise_exponent=math.log(2.8 / 2.1) / math.log(8.1 / 0.88),
     scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-0.003),
 )
-"""Tolerances HMC-52 ... HMC-57; the noise without averaging is 2.1 mG in the smallest and 2.8 mG in the largest range
-(HMC-53).
-"""
+"""Tolerances HMC-52 ... HMC-57; noise without averaging: 2.1 mG in the smallest, 2.8 mG in the largest range."""
 
 TOLERANCES: dict[str, Sheet] = {
     # ADX-60 ... ADX-70, noise at 100 Hz; the same in every range

@@ -41,9 +41,7 @@ STANDARD_MODE_MAX_HZ = 100_000
 
 Responders = dict[int, tuple[Target, ...]]
 Interference = Callable[["Wire", Sequence[Target]], None]
-"""Function that is called at every START, with the wire and the devices that will be addressed; it may raise OSError or
-advance the time.
-"""
+"""Function called at every START, with the wire and the addressed devices; it may raise OSError or take time."""
 
 
 class Wire:

@@ -245,9 +245,7 @@ PROFILE = (
     heating_to(52.0, WARM_DEGC, 5.0, HEATING_MIN),
     ProfileStretch("cool", 90.0, 25.0, COOLING_MIN),
 )
-"""Temperature profile with the times and peaks of the paper's section 5.2.5. The experiment ended slightly warmer than
-it began. The time constants are our assumption.
-"""
+"""Temperature profile of the paper's section 5.2.5, ending slightly warmer; our time constants."""
 
 
 @dataclass(frozen=True)

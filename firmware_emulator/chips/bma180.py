@@ -58,9 +58,7 @@ SELF_TEST_NS = 8_000_000  # less than 10 ms, BMA-104
 SELF_TEST_G = 700 / 4096  # typical response, 700 codes at 2 g (BMA-104)
 
 IN_TURN_NS = 500_000
-"""Length of a quarter in ns from which on the element is evaluated separately for every axis, when that axis is ready:
-five times a quarter with an accurate oscillator.
-"""
+"""Quarter in ns from which the element is evaluated for every axis: five times one of an accurate oscillator."""
 
 _BURST = Struct("<hhh")
 Codes = tuple[int, int, int]
@@ -464,9 +462,7 @@ class Bma180Chip(Chip):
         return len(data)
 
     def stop(self, at_ns: int) -> None:
-        """End the transaction: a write to the EEPROM's window takes effect without a data byte (BMA-55), unless a read
-        follows.
-        """
+        """End the transaction: a write to the EEPROM's window acts without data (BMA-55), unless a read follows."""
         if self._pending is not None and self._pending in WINDOW and self._pending % 2 == 0:
             self._burn(self._pending, at_ns)
         self._pending = None

@@ -95,9 +95,7 @@ class Hmc5883Chip(Chip):
         self._begin(at_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register: the pointer increments after bytes that are read, returns to 3 after the data, and
-        to 0 after the identity (HMC-05, DEC-30).
-        """
+        """Return the next register: reads increment it, from the data to 3, from the identity to 0 (HMC-05, DEC-30)."""
         if not reading:
             return pointer
         if pointer >= facts.IDENTITY_C.address:

@@ -37,9 +37,7 @@ TRIM_CODE = 17
 
 
 class Mpu6050Chip(MpuFamily):
-    """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03), `clock_input_hz` the
-    frequency at CLKIN (0: no clock is connected).
-    """
+    """The registers and the queue; `identity` 0x98: a clone (INV-03), `clock_input_hz` at CLKIN (0: none)."""
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.WHO_AM_I

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 
 def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, ...]:
-    """Return the mechanisms of the parameters `mechanism`, `severity` and `sensor`; ValueError, one line, for an
-    impossible value.
-    """
+    """Return the mechanisms of `mechanism`, `severity` and `sensor`; ValueError for an impossible value."""
     names = split(query.get("mechanism", ""), ",")
     severities = split(query.get("severity", ""), ",") or ["1"] * len(names)
     groups = split(query.get("sensor", ""), ",") or [""] * len(names)

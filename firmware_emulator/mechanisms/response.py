@@ -254,9 +254,7 @@ class OutputFilter(SensorMechanism):
         return noise
 
     def innovation(self, seconds: float) -> Triple:
-        """Return the Cholesky factor (11, 21, 22) of the covariance that noise adds to (x, x') in that time: P - F P
-        F^T, P = diag(1, 2 a^2).
-        """
+        """Return the Cholesky factor (11, 21, 22) of the covariance P - F P F^T, P = diag(1, 2 a^2), of (x, x')."""
         a, b, c, d = self.step(seconds)
         power = 2 * self.decay**2
         xx = max(0.0, 1 - a * a - b * b * power)

@@ -248,9 +248,7 @@ class Site:
         return stream(self.seed, f"{key} in {self.name}, run {self.run}")
 
     def direction(self, key: str) -> Triple:
-        """Return the relative effect on each axis of this part: a random direction of length sqrt(3), so that the rms
-        over the axes is 1.
-        """
+        """Return the relative effect on each axis of this part: a random direction of length sqrt(3), so rms 1."""
         vector = self.unit_random(f"direction of {key}").standard_normal(3)
         x, y, z = (vector * (math.sqrt(3) / float(np.linalg.norm(vector)))).tolist()
         return x, y, z

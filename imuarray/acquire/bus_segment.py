@@ -235,9 +235,7 @@ def twins_of(route: SensorRoute, all_routes: Iterable[SensorRoute]) -> list[Sens
 
 
 def mark_twins(routes: Sequence[SensorRoute]) -> None:
-    """Give twins with equal configurations different values in a register that has no effect, before they are
-    configured.
-    """
+    """Give twins with equal configurations different values in a register without effect, before configuration."""
     ambiguous: dict[int, SensorRoute] = {}
     for route in routes:
         twins = twins_of(route, routes)

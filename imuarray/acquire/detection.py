@@ -32,9 +32,7 @@ from imuarray.printable import printable
 
 
 def _identities() -> tuple[tuple[str, tuple[int, ...], Register], ...]:
-    """Return the chips that may be at an address, with the identity register and the value in it that identifies them.
-    Chips with the same identity share an entry.
-    """
+    """Return the chips that may be at an address, by identity register and value; alike chips share an entry."""
     names: dict[tuple[tuple[int, ...], Register], list[str]] = {}
     for chip, spec in CHIPS.items():
         dies = names.setdefault((spec.addresses, spec.identity), [])
@@ -211,9 +209,7 @@ def _is_known(bus: Bus, address: int) -> bool:
 
 
 def _keeps_control(bus: OpenBus, address: int) -> bool:
-    """Return whether the control byte reads back as written (PCA-02), with channel 1 connected and then with none. A
-    chip with registers would take the byte as a register address.
-    """
+    """Return whether the control byte reads back (PCA-02), with channel 1 and with none; no register does that."""
     for control in (pca9544a.ENABLE(1) | pca9544a.CHANNEL(1), pca9544a.ENABLE(0) | pca9544a.CHANNEL(0)):
         bus.transfer(address, bytes([control.value]))
         returned = bus.transfer(address, read=1)[0]

@@ -117,9 +117,7 @@ class FaultEpisode:
 
 
 def event_writer(log: Writer, epoch_ns: int, on_event: Callable[[Event], None]) -> SensorReport:
-    """Return the function that writes an event of a sensor ("": of the array) into a log that began at `epoch_ns`, and
-    passes it to `on_event`.
-    """
+    """Return the function that writes a sensor's event ("": array) into a log from `epoch_ns`, and to `on_event`."""
 
     def note(sensor: str, at_ns: int, kind: str, message: str) -> None:
         event = Event(at_ns - epoch_ns, sensor, kind, message)

@@ -48,9 +48,7 @@ from imuarray.printable import counted
 
 FIRST_PAUSE_NS = 100_000_000
 LONGEST_PAUSE_NS = 3_200_000_000
-"""Longest pause in ns between two attempts to reach a sensor; pauses double each time. An attempt at a silent address
-takes 30 us.
-"""
+"""Longest pause in ns between attempts to reach a sensor; they double. One at a silent address takes 30 us."""
 
 
 class SensorRecovery:
@@ -400,9 +398,7 @@ class SampleBuffer:
         return self._written_since_ns if continues else self.times_ns[row]
 
     def note_frozen(self) -> None:
-        """Note that the reading is frozen. If configuring the chip did not help, wait longer before the next attempt,
-        since the signal may be quiet.
-        """
+        """Note that the reading is frozen. If a configuration did not help, wait longer: the signal may be quiet."""
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
         self.frozen_reading = self._reading(len(self.times_ns) - 1)
 

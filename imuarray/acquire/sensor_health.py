@@ -148,9 +148,7 @@ class Freshness:
 
 
 AWAY_NS = 250_000_000
-"""Duration of silence in ns after which a sensor is searched for at growing intervals instead of read. A sensor that
-holds the clock delays all others, and is no longer read after two frames.
-"""
+"""Silence in ns after which a sensor is searched for at growing intervals instead of read."""
 
 
 class _SensorState:

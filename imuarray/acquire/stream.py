@@ -421,9 +421,7 @@ class Streaming:
         self.summary.silent = [rows.buffer.route.sensor.name for rows in self._rows if rows.buffer.silent(now_ns)]
 
     def _count_silence(self, is_lost: bool) -> None:
-        """Count the frames that were due since the last data as lost, if the link is lost (`is_lost`, or silent for so
-        long that it must be).
-        """
+        """Count the frames due since the last data as lost, if the link is lost (`is_lost`, or too long a silence)."""
         silent_s = (self._bus.clock.now_ns() - self._received_ns) * 1e-9
         if not is_lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
             return

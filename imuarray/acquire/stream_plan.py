@@ -221,9 +221,7 @@ def _read_back(route: SensorRoute, setting: Setting) -> Visit:
 
 
 def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
-    """Return the number of periods in a frame: one if no result of a conversion is too old a frame later, and no queue
-    has more samples by then than a request can read.
-    """
+    """Return the number of periods in a frame: one if no result is too old and no queue too long a frame later."""
     periods = [1]
     for route in routes:
         queue = unattended_queue_of(route.driver)
@@ -235,9 +233,7 @@ def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
 
 
 def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
-    """Return the period of each visit after the first, and the number of periods after which it repeats; `split` of
-    them are a frame.
-    """
+    """Return the period of each visit after the first, and the periods until it repeats; `split` are a frame."""
     period_ns = 1e9 / (rate_hz * split)
     waits = [math.ceil((visit.wait_ns + _SLACK_NS) / period_ns) if visit.wait_ns else 0 for visit in visits]
     offsets = [sum(waits[: index + 1]) for index in range(len(waits))]

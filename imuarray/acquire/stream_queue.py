@@ -27,9 +27,7 @@ LONGEST_US = 1_000_000
 _COUNTER_NS = 2_000
 """Uncertainty in ns of a time minus an age: both are whole microseconds, and each is off by up to one."""
 IDLE_REPORT_NS = 900_000_000
-"""Time in ns within which an empty queue is reported, at the last drain before its end. A lost configuration is
-reported earlier, because registers are read back twice in `SWEEP_S`.
-"""
+"""Time in ns within which an empty queue is reported; `SWEEP_S` finds a lost configuration earlier."""
 RAN_OVER = "the chip's queue ran over"
 
 
@@ -147,9 +145,7 @@ class QueueRows(Rows):
                 half._add(int(samples.sent_ns[index]), int(samples.sent_us[index]) * 1000, rate, samples.link_ns)
 
     def _visits(self, samples: Samples) -> Iterator[tuple[int, int, int]]:
-        """Yield the row in `samples` of each visit that succeeded, and the interval on the microcontroller's counter
-        (us) in which it took place.
-        """
+        """Yield the row in `samples` of each successful visit, and its interval on the counter in us."""
         place, payload = self.places[0], samples.payload
         ages = [ages_at(payload, position) for position in place.ages]
         worst = np.max(ages, axis=0)
@@ -170,9 +166,7 @@ class QueueRows(Rows):
             yield index, sent_us - (age_us if age_us < AGE_LONGEST else LONGEST_US), sent_us - int(age_after[index])
 
     def _add(self, sent_host_ns: int, sent_ns: int, rate: float, link_ns: float) -> None:
-        """Add the waiting samples of this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the
-        host's, which may be off by `link_ns`.
-        """
+        """Add this half's waiting samples; counter `sent_ns` is `sent_host_ns` on the host, within `link_ns`."""
         bursts = self._reader.take()
         if bursts or self._filled_ns is None:
             self._filled_ns = sent_host_ns

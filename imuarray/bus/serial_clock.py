@@ -20,9 +20,7 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 
 MAX_DRIFT = 0.01
-"""Largest relative drift of a clock: ceramic resonators are accurate to half a percent, and a fit with more than twice
-that error has wrong data.
-"""
+"""Largest relative drift of a clock: twice that of ceramic resonators, half a percent; more is wrong data."""
 BLOCK_NS = 100_000_000
 """Duration in ns of a block; only the earliest arrival of a block is kept."""
 WINDOW_BLOCKS = 600
@@ -37,9 +35,7 @@ RECENT_BLOCKS = 64
 
 
 def nearest(values: Times, modulus: int, expected: int) -> Times:
-    """Return the numbers (n,) whose counter of `modulus` (even) steps shows `values` (n,), nearest to `expected`; of
-    two equally near ones the lower.
-    """
+    """Return the numbers (n,) nearest to `expected` that a counter of `modulus` steps shows as `values`."""
     half = modulus // 2
     numbers: Times = expected - half + (values - expected + half) % modulus
     return numbers

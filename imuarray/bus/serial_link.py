@@ -261,9 +261,7 @@ def transfer_payload(address: int, write: bytes, read: int) -> bytes:
 
 
 def exchange_payload(select: int, write: bytes, read: int) -> bytes:
-    """Return the payload of TRANSFER on SPI: bytes out, then zeros while `read` bytes come in; ValueError for a
-    transfer that no frame can carry.
-    """
+    """Return the payload of TRANSFER on SPI: bytes out, then zeros while `read` come in; ValueError if too long."""
     return _transfer_payload(FIRST_SELECT + select, write, read)
 
 
@@ -304,9 +302,7 @@ def resend_payload(first: int, count: int) -> bytes:
 
 
 def sent_again(payload: bytes) -> tuple[int, int]:
-    """Decode the answer to RESEND: the number of frames that were sent again, and the frame number, mod 65536, to
-    continue with; errors as of `outcome_of`.
-    """
+    """Decode the answer to RESEND: frames sent again, next number mod 65536; errors as of `outcome_of`."""
     frames, following = struct.unpack("<HH", outcome_of(payload, 4, "frames to be sent again"))
     return frames, following
 

@@ -236,9 +236,7 @@ class _Answer(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Data frames that were read together, and the times (n,) at which they were sent: they had arrived by
-    `arrived_ns`, and not much earlier if it is `tight`.
-    """
+    """Data frames read together, and the times (n,) of sending: before `arrived_ns`, shortly if it is `tight`."""
 
     frames: Sequence[Frame]
     sent_us: Times
@@ -365,9 +363,7 @@ class Session:
         raise LinkError("the microcontroller does not answer")
 
     def _answer_to(self, kind: int, asked_ns: int) -> _Answer | None:
-        """Return the answer to the last command, which was sent at `asked_ns`. An earlier command of the same number
-        may have been answered by the same kind of frame: that one was sent before.
-        """
+        """Return the answer to the last command, sent at `asked_ns`; one sent before answers an earlier command."""
         since_us = self._latest_us(asked_ns)
         answers, self._answers = self._answers, []
         for index, answer in enumerate(answers):

@@ -186,9 +186,7 @@ _LEAST_WIDTH = 40
 
 
 def _print_line(text: str) -> None:
-    """Print a line with control characters escaped, because it may contain text from a file. One that is longer than
-    the terminal is wide goes on in further lines, indented.
-    """
+    """Print a line with control characters escaped, wrapped at the terminal's width and indented."""
     width = max(get_terminal_size((_UNLIMITED, 24)).columns, _LEAST_WIDTH)
     for line in wrap(printable(text), width, subsequent_indent=" " * 6, break_on_hyphens=False, break_long_words=False):
         click.echo(line)

@@ -67,9 +67,7 @@ class Ak8963(ChipDriver):
         return ak8963.SIXTEEN_BITS(1) | ak8963.MODE(code)
 
     def open_bypass(self) -> None:
-        """Open the bypass of the MPU on this bus, if there is one; SensorError for two of them, whose magnetometers
-        have one address.
-        """
+        """Open the bypass of the MPU on this bus, if any; SensorError for two, whose magnetometers share an address."""
         hosts = []
         for address in mpu6500.ADDRESSES:
             host = Registers(self.registers.bus, address, self.registers.label)

@@ -280,9 +280,7 @@ class Bmp280(ForcedBarometer):
     limits_pa: ClassVar[tuple[float, float]] = (30_000.0, 110_000.0)  # BMP-124
 
     def is_over(self, head: bytes) -> bool:
-        """Return whether the chip sleeps with the configured oversampling: a chip that was reset has none (BMP-105,
-        BMP-107).
-        """
+        """Return whether the chip sleeps with the configured oversampling; a reset clears it (BMP-105, BMP-107)."""
         asleep = Setting(self.force.register, self.force.mask, self.force.value & ~bmp280.MODE.mask)
         return not bmp280.MEASURING.of(head[0]) and head[1] == asleep.value
 

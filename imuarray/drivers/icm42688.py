@@ -175,9 +175,7 @@ class Icm42688(SixAxisHalf):
 
 
 def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
-    """Return (n,) flags of (n, 3) counts: suspect for the lowest code (-32768 of 16 bits), which means no reading;
-    saturated at the other codes that end the range.
-    """
+    """Return (n,) flags of (n, 3) counts: suspect for the lowest (no reading), saturated at the other ends."""
     lowest = -1 << bits - 1
     invalid = (counts == lowest).any(axis=1)
     at_end = (np.abs(counts.astype(np.int32)) == -lowest - 1).any(axis=1) & ~invalid
@@ -185,9 +183,7 @@ def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
 
 
 class Icm42688Fifo(QueuedHalf, Icm42688):
-    """Driver of one half that is read from the queue: a row is a packet with a temperature of 8 bits, 2.07 counts per
-    degC (TDK-82).
-    """
+    """Driver of one half read from the queue: a row is a packet with 8 bits of temperature, 2.07 per degC (TDK-82)."""
 
     burst: ClassVar[int] = 16
 

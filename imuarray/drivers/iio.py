@@ -429,9 +429,7 @@ class IioCapture:
         self._set_up = [sensor]
 
     def _set_rate(self, config: SensorConfig, channels: Sequence[str]) -> None:
-        """Set the data rate, if the driver has one: the configured one, or with a trigger the lowest that is not
-        slower. SensorError lists the possible ones.
-        """
+        """Set the driver's data rate, if any: as configured, with a trigger the next higher; SensorError lists all."""
         rate_hz = config.chip_rate_hz
         names = ("sampling_frequency", *(f"{channel}_sampling_frequency" for channel in channels))
         for attribute in names:

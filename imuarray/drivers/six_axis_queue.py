@@ -33,9 +33,7 @@ LONGEST_READS: Mapping[str, int] = MappingProxyType(
 )
 """Largest number of bytes of a read in one transaction, by bus."""
 LONGEST_READ = min(LONGEST_READS.values())
-"""Largest number of bytes of a read that all buses can carry. Reads of a queue are split in the same way on all of
-them, so that a transcript of one bus can replace another bus.
-"""
+"""Most bytes of a read on all buses, equal so that a transcript of one bus can replace another."""
 
 
 WANTED_NS = 20e3
@@ -47,9 +45,7 @@ BEFORE_COUNT = 0.4
 _FLAGS_AND_COUNT = 3
 """Number of bytes of INT_STATUS and the count of an ICM-42688-P; FIFO_DATA is the next register (TDK-85)."""
 _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
-"""Largest difference of a count from the number expected for the time since the last one: a number of samples, and a
-share of the expected number for a slow chip.
-"""
+"""Largest difference of a count from that expected since the last: samples, and a share for slow chips."""
 MOST_ROWS = 4096
 """Most rows that wait for a half that is not visited; if more, all are dropped, and the next is flagged."""
 
@@ -158,9 +154,7 @@ class DieQueue:
             reader.clear(gap=reader is not by)
 
     def fetch(self, reader: QueueReader) -> bytes:
-        """Return the rows of one half. The half that joined first drains the queue at every visit, the other one if no
-        rows wait for it.
-        """
+        """Return the rows of one half; the first half drains the queue at every visit, the other if it has no rows."""
         if not reader.waits or reader is next(iter(self._readers.values())):
             if not self._trusted:
                 self.empty()
@@ -172,9 +166,7 @@ class DieQueue:
         return reader.take()
 
     def _look_again(self) -> None:
-        """Count once more, at the time at which a count gives the most information on the times of samples, if these
-        are uncertain and the wait is short.
-        """
+        """Count again when a count tells most about the times of samples, if these are uncertain and it is soon."""
         now_ns = self.clock.now_ns()
         at_ns = self.times.best_look_ns(now_ns, max(WANTED_NS, (1 - BEFORE_COUNT) * self._shortest_ns))
         if at_ns is None or at_ns - now_ns > LONGEST_WAIT_NS:

@@ -395,9 +395,7 @@ class _NumberTexts:
         return self._texts[places].view(np.uint8).reshape(len(values), -1)[:, :width]
 
     def _places(self, bits: npt.NDArray[Any], is_float: bool) -> Indices:
-        """Return the indices (n,) of numbers in the list of known numbers; unknown ones are added to it. Floats are
-        compared by their `bits`, because -0.0 and 0.0 have different texts.
-        """
+        """Return the indices (n,) of numbers in the known list, which grows; floats by `bits`, as -0.0 is not 0.0."""
         if len(self._known):
             places = np.minimum(np.searchsorted(self._known, bits), len(self._known) - 1)
             is_new = self._known[places] != bits

@@ -148,9 +148,7 @@ def _topics_of(name: str, table: ExportTable, columns: Mapping[str, TableColumn]
 
 
 def _topic_name(name: str) -> str:
-    """Return the name of a topic: letters, digits and single underscores, none of its parts beginning with a digit
-    (design.ros2.org/articles/topic_and_service_names.html).
-    """
+    """Return a topic's name: letters, digits, single underscores, no part from a digit (design.ros2.org)."""
     parts = [re.sub(r"[^A-Za-z0-9]+", "_", part) for part in name.split("/", 1)]
     return "".join(f"/{part if part[:1].isalpha() else f's{part}'}" for part in parts)
 

@@ -249,9 +249,7 @@ class TextTable:
             yield self.line, row
 
     def _is_summary(self, row: Sequence[str], rows_read: int) -> bool:
-        """Return whether a row after the readings summarises them: it has a word in place of a number, for example
-        "Mean", and numbers. A table has few of these rows.
-        """
+        """Return whether a row after readings summarises them: a word in place of a number ("Mean"), then numbers."""
         first = row[0].strip()
         is_worded = first[:1].isalpha() and first.lower() not in MISSING and not _is_number(first)
         is_rare = self.left_out["summary"] < max(_FEW_SUMMARIES, MOST_TORN * rows_read)
@@ -691,9 +689,7 @@ def _date_ns(column: CellColumn, row: int, text: str) -> int:
 
 
 def _without_leap_second(text: str) -> tuple[str, int]:
-    """Return a time in second 60 as a time in second 59, and the difference in ns. The resulting time is in the next
-    minute, and that second then occurs again (`restarts` in the map).
-    """
+    """Return a time in second 60 as one in second 59, and the difference in ns, so that second 0 occurs twice."""
     if _LEAP_SECOND.search(text):
         return text.replace(":59:60", ":59:59", 1), 1_000_000_000
     return text, 0

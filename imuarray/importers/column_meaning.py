@@ -52,9 +52,7 @@ _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UN
 """The quantity of each unit; every unit belongs to one quantity."""
 _PART = re.compile(r"(.*)\[\d+\]")
 _FOURTH: Mapping[str, str] = {"xyz": "w", "XYZ": "W", "012": "3", "123": "0", "ENZ": "\0"}
-"""Name of the fourth of four columns, by the names of three that look like a triad; column 0 may be their time.
-Seismometers have east, north and up, and no fourth column.
-"""
+"""Name of a fourth column after three that look like a triad, whose first may be their time; none after E, N, Z."""
 _COMPASS: Mapping[str, str] = {"EW": "E", "NS": "N", "UD": "Z"}
 """Names of east, north and up in the files of K-NET's seismometers, with the letters used here."""
 _TRIAD_AND_TIME = 4

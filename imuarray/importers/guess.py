@@ -351,9 +351,7 @@ def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
 
 
 def _correct_unit(item: Item, factor: float) -> bool:
-    """Replace the guessed unit of a gyroscope's values by the unit that agrees with the factor, if any; or by the scale
-    of codes of more than 16 bits, if one from a data sheet agrees.
-    """
+    """Replace a gyroscope's guessed unit by one that agrees with the factor, or by a wide scale of a data sheet."""
     if not _has_guessed_unit(item):
         return False
     units = UNITS_OF["angular_rate"]

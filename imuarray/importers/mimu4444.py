@@ -81,9 +81,7 @@ def _is_acknowledge(head: bytes) -> bool:
 
 
 class _Cutter:
-    """The state between two blocks: undecided bytes, the number of bytes skipped since the last packet, and the number
-    of undecided bytes in a packet that is already counted as broken.
-    """
+    """The state between blocks: undecided bytes, bytes skipped since a packet, undecided bytes of a broken packet."""
 
     def __init__(self) -> None:
         self.rest = b""

@@ -67,9 +67,7 @@ LEAST_OFFSET = 64.0
 """Least code that is assumed to be the middle of an unsigned converter's range: with 8 bits it is 128."""
 
 RATES_HZ = (0.5, 20_000.0)
-"""Plausible rates of inertial and magnetic sensors: no chip is faster, and a rate below that of a program that reads
-once a second is due to a wrong unit of time.
-"""
+"""Plausible rates of inertial and magnetic sensors: no chip is faster, and no program reads below once a second."""
 
 USUAL_RATES_HZ = (5.0, 5000.0)
 """Range in which the rate must be after a correction of the unit of time."""
@@ -140,9 +138,7 @@ their number to that of its next longest run: an axis at rest with little noise 
 
 OTHER_CODES = 5
 MOST_COMPARED = 4096
-"""Fewest different codes of another axis during such a stop, in at most `MOST_COMPARED` rows: an axis whose noise is
-less than a count keeps its code at rest, and so do the others nearly.
-"""
+"""Fewest codes of another axis during such a stop, in `MOST_COMPARED` rows: a quiet box keeps codes nearly."""
 
 FITS = 0.95
 """Least correlation between the rotations of accelerometers and gyroscope at which other axes than the map's fit."""
@@ -153,9 +149,7 @@ BETTER = 0.1
 FEWEST_TURNS = 20
 TURN_PASSES = 3
 MOST_HALF_TURN = 1.0
-"""Constants of the rotation fit: the fewest rotations, the number of iterations in which the angle between windows is
-determined, and the largest half of this angle (rad) that is used.
-"""
+"""Constants of the rotation fit: fewest rotations, iterations for their angle, and the largest half angle (rad)."""
 
 FOLLOWS = 0.8
 """Least correlation between the rotations of accelerometers and gyroscope at which their ratio is used."""
@@ -167,9 +161,7 @@ LISTED = 3
 """Maximum number of sensors of a quantity that are reported individually."""
 
 MOST_OF_A_TIME = 4.0
-"""Mean number of rows with the same time above which the times are doubted. With a clock of milliseconds, two rows of a
-fast chip have the same time; a clock of seconds hides the rate.
-"""
+"""Mean rows of a time above which times are doubted: a clock of ms doubles fast rows, one of s hides the rate."""
 
 LOST_ROW = 1.5
 """Shortest gap after a single lost row, in usual intervals."""
@@ -412,9 +404,7 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
 
 
 def _weightless(sensor: SensorLog) -> str:
-    """Return the doubt about an accelerometer in motion whose force averages to zero and often vanishes, as an
-    acceleration without gravity does; "" about others.
-    """
+    """Return the doubt about an accelerometer in motion whose force averages to zero, as one without gravity; or ""."""
     forces = np.asarray(sensor.counts[:MOST_COMPARED], float) / sensor.sensitivity
     length = np.linalg.norm(forces, axis=1)
     usual = float(np.median(length))
@@ -642,9 +632,7 @@ def _held_axis_in_words(sensor: SensorLog, axis: str, run: RunTally) -> str:
 
 
 def _are_unsigned(seen: Sequence[Histogram]) -> bool:
-    """Return whether no axis has a negative code, and the usual codes of all axes are near each other: forces and rates
-    are on both sides of zero, at least on one axis of three.
-    """
+    """Return whether no code is negative and the usual codes of all axes are near each other, unlike signed ones."""
     usual = [float(codes.codes[np.searchsorted(np.cumsum(codes.counts), codes.counts.sum() / 2)]) for codes in seen]
     return min(codes.codes[0] for codes in seen) >= 0 and min(usual) > max(LEAST_OFFSET, max(usual) / 2)
 
@@ -719,9 +707,7 @@ def _names_of(log: Log, quantity: Quantity, windows: Mapping[str, _Windows]) -> 
 
 
 def _dip_in_words(force: _Windows, fields: Sequence[_Windows]) -> str:
-    """Return the conclusion from the first magnetometer's field on the sign of an accelerometer at rest; "" without a
-    field of the earth's size that is steep enough.
-    """
+    """Return what the first magnetometer says on the sign of an accelerometer at rest; "" without a steep field."""
     field = next((each for each in fields if each.width_ns == force.width_ns), None)
     if field is None:
         return ""

@@ -179,9 +179,7 @@ def time_index(names: Sequence[str], columns: Sequence[Floats], dates: Mapping[i
 
 
 def _own_time(name: str, names: Sequence[str], columns: Sequence[Floats], time: int | None) -> int | None:
-    """Return the time column that has the beginning of its name in common with a sensor's column; None if there is no
-    such column, or if that of the whole table, `time`, fits as well.
-    """
+    """Return the time column whose name begins as that of a sensor's column; None if `time` fits as well."""
 
     def common(index: int) -> int:
         same = takewhile(lambda pair: pair[0] == pair[1], zip(names[index].lower(), name.lower(), strict=False))
@@ -222,9 +220,7 @@ def is_clock(values: Floats) -> bool:
 
 
 def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int) -> list[str]:
-    """Return the lines of `[time]` for whole seconds in the column `index` and their fraction in the next one, by names
-    such as sec and nsec; otherwise an empty list.
-    """
+    """Return the lines of `[time]` for seconds in column `index` and their fraction in the next, by names; or []."""
     rest = index + 1
     if rest >= min(len(names), len(columns)):
         return []

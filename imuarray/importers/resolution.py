@@ -45,9 +45,7 @@ WIDE_SENSITIVITIES = {
     "angular_rate": (655_360.0, 2_621_440.0, 10_485_760.0),
     "magnetic_field": (16_384.0,),
 }
-"""The same for chips with codes of more than 16 bits: Analog Devices' ADXL355 and ADXL357 (20 bits), the ADIS16470 and
-ADIS16495 (32 bits); the MMC5983MA (18 bits).
-"""
+"""The same for codes of more than 16 bits: ADXL355, ADXL357 (20), ADIS16470, ADIS16495 (32), MMC5983MA (18)."""
 
 NEAR = 3e-4
 """Largest relative difference between a step measured from rounded values and that of the data sheet."""

@@ -244,9 +244,7 @@ _FEW_DATES = 0.5
 
 
 class _FolderFile(NamedTuple):
-    """A text of a folder: its name without suffix, its path, the names of its columns, its proposal, and the times of
-    its first rows (empty if they are not known).
-    """
+    """A text of a folder: name without suffix, path, column names, proposal, and times of its first rows, if known."""
 
     name: str
     path: Path
@@ -329,9 +327,7 @@ def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile
 
 
 _LATER = 0.1
-"""Difference between the first times of two files, as a share of the duration of the first file, above which they are
-parts and not files of different sensors of one recorder.
-"""
+"""Difference of first times, as a share of a file's duration, above which files are parts of one recording."""
 
 
 def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
@@ -363,9 +359,7 @@ sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 
 
 
 def _full_labels(kind: str) -> list[str]:
-    """Return the labels of a row, completed with the words and the unit that several labels share but programs write
-    once: "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", "Y", "Z [rad/s]".
-    """
+    """Return labels completed with shared words and units: "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", ..."""
     names: list[str] = []
     stem, first = "", 0
     for label in kind.split(","):

@@ -112,9 +112,7 @@ class FolderRows:
         return {name: file.names()[""] for name, file in self._files.items()}
 
     def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Blocks:
-        """Yield the rows of the file that `kind` names, and of the parts that follow it; SourceError without this file,
-        or if parts overlap with different rows.
-        """
+        """Yield the rows of file `kind` and of its later parts; SourceError without it, or if overlaps differ."""
         names = [kind or "", *self._parts.get(kind or "", ())]
         for name in names:
             if name not in self._files:
@@ -144,9 +142,7 @@ class FolderRows:
         return None
 
     def _without(self, repeated: list[Row], block: CellBlock, where: Sequence[int], name: str) -> CellBlock:
-        """Return the rows of a block that are not `repeated` from the file before, and remove these from the list;
-        SourceError if a row differs from its counterpart.
-        """
+        """Return a block without rows `repeated` from the file before, and remove these; SourceError if one differs."""
         count = min(len(repeated), len(block.lines))
         for place in range(count):
             row = tuple(str(block.columns[at][place]) for at in where)

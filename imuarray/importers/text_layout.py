@@ -173,9 +173,7 @@ def _header(
 
 
 def _padded(rows: list[_Row]) -> list[_Row]:
-    """Return rows of several widths, below a header as wide as the widest row, extended to the width of the header:
-    readings of several kinds have different numbers of values.
-    """
+    """Return rows of several widths below a header as wide as the widest, extended to its width."""
     width = len(rows[0][1])
     widths = [len(row) for _, row in rows[1:]]
     plain = TextLayout()
@@ -188,9 +186,7 @@ def _padded(rows: list[_Row]) -> list[_Row]:
 
 
 def _first_of_table(rows: Sequence[_Row], numeric: Sequence[bool], layout: TextLayout) -> int | None:
-    """Return the first row of a table of numbers below a preamble of other widths; None if the rows below are of
-    several widths or begin with words, so that they may be of several kinds.
-    """
+    """Return the first row of numbers below a preamble; None if widths vary or rows begin with words, as of kinds."""
     tail = [row for _, row in rows[len(rows) // 2 :]]
     widths = [len(row) for row in tail]
     usual = max(set(widths), key=widths.count)

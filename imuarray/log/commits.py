@@ -213,9 +213,7 @@ class CommittedRows:
         return block_crc(self._groups, stretches)
 
     def _replaced(self, segment: Segment) -> list[Columns] | None:
-        """Return the rows of a commit from the journal, by group; None if the journal lacks some of them, unless
-        `check` has accepted the loss.
-        """
+        """Return a commit's rows from the journal, by group; None if it lacks some, unless `check` accepted this."""
         if segment.number in self._rest:
             return self._rest[segment.number]
         if self._journal is None:

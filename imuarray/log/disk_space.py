@@ -42,9 +42,7 @@ def free_bytes(path: Path) -> int:
 
 
 def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
-    """Return the error for `path` that fits an error of the system or of HDF5: DiskFullError if there is no space
-    (`kept` says what remains), else LogError.
-    """
+    """Return the error for `path` by one of the system or HDF5: DiskFullError (`kept`: what remains), or LogError."""
     number = errno_of(error)
     if number in NO_ROOM:
         return DiskFullError(path, _NO_SPACE.get(number, "no space left on the disk"), *kept)

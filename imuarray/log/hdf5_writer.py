@@ -64,9 +64,7 @@ PLAIN: Mapping[str, Any] = {}
 """Storage of the columns of a log while it is written: not compressed, without checksums."""
 
 LIBVER = "v110"
-"""The earliest file format with single writer and multiple readers (SWMR). "latest" would depend on the installed HDF5,
-and MATLAB, for example, cannot read that of HDF5 2.0.
-"""
+"""The earliest format with SWMR; "latest" depends on the HDF5, and MATLAB cannot read that of HDF5 2.0."""
 
 _STRING = h5py.string_dtype("utf-8")
 _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}

@@ -349,9 +349,7 @@ def _names_in_group(group: _OpenObject, where: str) -> list[bytes]:
 
 
 def _is_plot(group: _OpenObject, name: bytes) -> bool:
-    """Return whether a soft link is one of `/plots`: to the column of the same name, of the sensor with the name of its
-    group. It is not followed; the column is inspected at its own place.
-    """
+    """Return whether a soft link is one of `/plots`, to the column of its name in the sensor of its group."""
     _, *path = group.path.split(b"/")
     target: bytes = group.item.links.get_val(name)
     return len(path) == 2 and path[0] == PLOTS.encode() and target == b"/sensors/" + path[1] + b"/" + name

@@ -400,9 +400,7 @@ class JournalReader:
         return np.frombuffer(record.payload, "<i8", rows)
 
     def _resume_after(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
-        """Return where good blocks resume after a bad one at `end`, and the bad block if it could be restored; None at
-        the end of the journal. Lost data are recorded in `damage`.
-        """
+        """Return where blocks resume after a bad one at `end`, and the block if restored, or None; note `damage`."""
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:
             return None

@@ -426,9 +426,7 @@ _ROWS = 1 << 16
 
 
 class LogVerification(NamedTuple):
-    """The result of a verification: `problems` are rows that can't be read or are inconsistent, `remarks` are defects
-    that reading corrects.
-    """
+    """The result of a verification: `problems` are unreadable or inconsistent rows, `remarks` corrected defects."""
 
     state: str
     rows: Mapping[str, int]

@@ -113,9 +113,7 @@ class RotatingWriter:
         return start_ns if number else min(start_ns, 0), start_ns + self._every_ns
 
     def _prepare_next(self, time_ns: int) -> None:
-        """Create the part after this time, if it will be needed soon. A part that would replace an older log (`force`)
-        is created only when it is needed, since that may never happen.
-        """
+        """Create the part after this time, if it is needed soon; with `force`, only once it is needed."""
         number = max(self.part_at(time_ns), self._first) + 1
         lead_ns = min(_LEAD_NS, self._every_ns)
         is_open = number in self._open or number in self._ahead

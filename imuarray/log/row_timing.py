@@ -37,16 +37,12 @@ FOLLOWS = 0.5
 """
 
 REGULAR = 0.05
-"""Scatter of gap lengths, as a share of their median, below which this correlation has no meaning: rows are then a
-burst only if they arrive `HURRY` times as fast as on average.
-"""
+"""Scatter of gap lengths, as a share of the median, below which the correlation means nothing (see `HURRY`)."""
 
 HURRY = 10.0
 
 LEAST_HURRY = 1.5
-"""Least rate of the rows of bursts, relative to the average rate, or after a gap to the usual rate; slower rows do not
-make up for a gap.
-"""
+"""Least rate of rows in bursts, relative to the average, or after a gap to the usual rate; slower fill no gap."""
 
 LOST_SHARE = 0.5
 """Share of gaps with rows flagged as lost above which rows after gaps are not a burst."""
@@ -145,9 +141,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
 
 
 def _intervals_ns(sensor: SensorLog) -> Integers:
-    """Return the intervals (k,) between rows: all of a short recording; of a long one those of stretches throughout it,
-    because its beginning may have another rate than the rest.
-    """
+    """Return intervals (k,) between rows: all, or those of stretches throughout a long recording."""
     rows = len(sensor)
     if rows <= _STRETCHES * _STRETCH_ROWS:
         return _intervals_of(sensor, 0, rows)

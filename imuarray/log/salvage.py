@@ -140,9 +140,7 @@ class Salvage:
         return Record(*block, Mark(end, stored))
 
     def _gap(self, bad: Mark, after: Mark) -> Record | None:
-        """Return the bad bytes as one block, if its payload can be proved good: by its own checksum under another head,
-        or by the next block, which continues from `after`.
-        """
+        """Return the bad bytes as one block, if its own checksum under another head, or the next block, proves it."""
         position, chain = bad
         head = self._read_bytes(OVERHEAD, position)
         size = self._declared(head)

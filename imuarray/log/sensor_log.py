@@ -243,16 +243,12 @@ class SensorLog(CountScale):
 
     @property
     def time_uncertainty(self) -> NamedColumn | None:
-        """The largest possible error (n,) of the time of each row in s, for sensors whose queue was drained; None if
-        the log does not state it.
-        """
+        """The largest error (n,) of each row's time in s, for a sensor with a queue; None if the log states none."""
         return self._column(TIME_UNCERTAINTY) if self.has_compensated(TIME_UNCERTAINTY) else None
 
     @property
     def sync_pulse(self) -> NamedColumn | None:
-        """The time (n,) in s from a synchronisation pulse to the row that it marks, the first after it; nan in all
-        other rows. None for a sensor without pulses.
-        """
+        """The time (n,) in s from a synchronisation pulse to the first row after it, else nan; None without pulses."""
         return self._column(SYNC_PULSE) if self.has_compensated(SYNC_PULSE) else None
 
     def _has(self, name: str) -> bool:

@@ -273,9 +273,7 @@ class Block(NamedTuple):
 
 
 class Stimulus(NamedTuple):
-    """Rows of `/truth` or `/reference`: time (n,) ns, specific force (n, 3) m/s2 and angular rate (n, 3) rad/s in the
-    box frame, temperature (n,) degC.
-    """
+    """Rows of `/truth` or `/reference`: time (n,) ns, force (n, 3) m/s2, rate (n, 3) rad/s (box), degC (n,)."""
 
     time: Times
     specific_force: Floats
@@ -562,9 +560,7 @@ def recover(
 
 
 def _is_journal_of(log: Log) -> bool:
-    """Return whether the journal beside a finished log belongs to it (same epoch and sensors), because the process was
-    killed just before it removed the journal.
-    """
+    """Return whether a journal beside a finished log is its own (epoch, sensors), left by a killed process."""
     try:
         with JournalReader(log.path) as journal:
             preamble = journal.preamble
@@ -673,9 +669,7 @@ def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[
 
 
 def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
-    """Remove the files that a finished log does not need: its journal (renamed instead, with `keep`), the reserve, and
-    copies of terminated processes. Return the new name of the journal if it was renamed.
-    """
+    """Remove a finished log's journal (with `keep`: return its new name), reserve, and copies of dead processes."""
     journal_copy = None
     if lock is not None and keep:
         journal_copy = lock.put_aside()

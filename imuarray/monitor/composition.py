@@ -96,9 +96,7 @@ def _silence(sensor: SensorLog, window: LatestRows, extent: tuple[int, int]) -> 
 
 
 def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
-    """Return the number of missing rows up to the newest row of the log; `frame_period_ns` is 0 for a sensor that is
-    not read once per frame.
-    """
+    """Return the number of missing rows to the log's newest; `frame_period_ns` is 0 unless read once per frame."""
     if frame_period_ns:
         missing = missing_rows(window.first_ns or 0, window.newest, window.total, frame_period_ns)
     else:
@@ -321,9 +319,7 @@ def _no_rows(source: LogSource, name: str) -> Rows:
 
 
 def _frames(views: Sequence[SensorView]) -> list[SensorView]:
-    """Return the sensors that are read once a frame: the largest set of inertial sensors with the same rate. A missed
-    frame is missing from all of them, a lost reading from one.
-    """
+    """Return the sensors read once a frame: most inertial ones of one rate; all of them lack a missed frame."""
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
     sets = (
         [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz] for view in inertial

@@ -43,9 +43,7 @@ def effects_in(run: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 @dataclass(frozen=True)
 class _Within(Effect):
-    """An `effect` that acts only on rows whose stamps lie within `stretches_ns`, each (from, until). Its random draws
-    are the same as those of an effect that always acts.
-    """
+    """An `effect` that acts only on rows with stamps within `stretches_ns` (from, until); its draws do not change."""
 
     effect: Effect = Effect()  # noqa: RUF009  # frozen
     stretches_ns: tuple[tuple[float, float], ...] = ()

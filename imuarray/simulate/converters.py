@@ -22,9 +22,7 @@ EVEN_ONLY_FROM_HZ = 1600.0
 """Data rate of the ADXL345 from which its lowest bit is always 0 in full resolution (ADX-47)."""
 
 _NEAREST = 0.75
-"""Fraction of a configured rate. An actual rate above it is taken to be this setting and not the next lower one,
-because the rates of the ADXL345 are octaves apart (ADX-32).
-"""
+"""Fraction of a configured rate above which the actual rate is this setting: those of the ADXL345 are octaves."""
 
 _ON_TIME = 1e-6
 _ROUNDED_S = 1e-9

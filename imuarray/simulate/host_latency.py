@@ -63,9 +63,7 @@ class DelayedTimes:
         return self.own.stamps(start, stop)
 
     def waits(self, start: int, stop: int) -> tuple[Integers, Booleans]:
-        """Return, for rows start ... stop - 1, half of the host's wait before each in ns (n,), and whether the host
-        missed a reading there (n,).
-        """
+        """Return, for rows start ... stop - 1, half the host's wait before each in ns (n,), and if it missed (n,)."""
         halves, missed = np.zeros(stop - start, np.int64), np.zeros(stop - start, bool)
         first, last = np.searchsorted(self.waited, (start, stop))
         halves[self.waited[first:last] - start] = self.half_ns[first:last]

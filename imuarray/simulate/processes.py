@@ -154,9 +154,7 @@ def _growth(steps: npt.ArrayLike, decay: float) -> Floats:
 
 @lru_cache(maxsize=64)
 def _bridge(decay: float) -> Floats:
-    """Return (KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start, k = 1 ... K = KNOTS: the share of
-    a correction of the end that is applied to each knot.
-    """
+    """Return (KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start: how an end's correction acts."""
     steps = np.arange(1, KNOTS + 1)
     return np.asarray(np.exp((steps - KNOTS) * decay) * _growth(steps, decay) / _growth(KNOTS, decay))
 

@@ -33,9 +33,7 @@ _BURST_CLOCKS = {chip: 9 * (spec.burst_bytes + 3) if spec.burst_bytes else 0 for
 """SCL clocks of a burst as the drivers read it: nine per byte, after two addresses and a register (BUS-01)."""
 
 _SOON = 1.1
-"""Margin, in frames, for the different delays in forward and reverse order: a slow chip is not read in a frame if it
-can wait for the next frame with this margin.
-"""
+"""Margin in frames for the order: a slow chip is read a frame later if it can wait by this margin."""
 _SINGLE = 1024
 _PIECE, _PIECES = 16384, 16
 """Rows of a recorded sensor whose stamps are read at once, and the number of such pieces that are kept: 2 MB."""
@@ -61,9 +59,7 @@ _AROUND = 2
 """Number of intervals on either side of a long one in which a shorter one shows that a row was late and not lost."""
 
 _LEAST_BEAT, _EVEN = 3, 0.5
-"""Minimum number of distances between gaps, and the coefficient of variation of these distances below which gaps are
-evenly spaced; the coefficient is 1 for independent gaps.
-"""
+"""Fewest distances between gaps, and the coefficient of variation below which they are even (random: 1)."""
 
 
 class Timeline(Protocol):

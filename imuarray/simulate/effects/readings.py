@@ -249,9 +249,7 @@ class Stuck(Effect):
                     yield begin, end, self.readings[3 * number : 3 * number + 3]
 
     def _holds(self, stop: int, at: Place) -> Iterator[tuple[float, float, tuple[float, ...]]]:
-        """Yield begin and end row of each stretch in which a reading is held, up to row `stop`, and the reading if
-        known.
-        """
+        """Yield begin and end row of each stretch with a held reading, up to row `stop`, and the reading if known."""
         free = at.boot_generator(self.name).exponential if math.isfinite(self.every_s) else lambda _: math.inf
         begin_s = self.onset_s if math.isfinite(self.onset_s) else free(self.every_s)
         while begin_s * at.rows_per_s < stop:
