@@ -30,7 +30,7 @@ from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.overlay_bench import Run, benched, where
+from tests.gap.campaign_bench import Run, benched, where
 
 SHORT: Mapping[str, Offer] = MappingProxyType(
     {

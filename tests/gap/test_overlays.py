@@ -14,7 +14,7 @@ from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.temperature import ThermalBias
-from tests.gap.overlay_bench import Run, benched, where
+from tests.gap.campaign_bench import Run, benched, where
 from tests.gap.small_campaign import block, gaussian, summary
 
 TONE = Tone((0.0, 0.05, 0.0), 20.0)

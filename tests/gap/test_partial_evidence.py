@@ -17,64 +17,84 @@ from imuarray.gap.inference.refinement import distinct
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.conversion import Quantisation
 from imuarray.simulate.effects.noise import Tone
-from tests.gap import sampled
+from tests.gap import multirate_logs
 from tests.gap.effects.evidence_of import evidence_of
 from tests.gap.small_bench import Run
 from tests.selection import some
 
 REPLICATES = 40
 
-CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Mapping[str, float]]] = {
+CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, multirate_logs.Change], Mapping[str, float]]] = {
     # expected effect and sensors; changes by sensor; parameters to a tenth
-    "rows of one rate are correlated": ("bandwidth", ("G1",), {"G1": sampled.low_pass(30.0)}, {"cutoff_hz": 30.0}),
-    "a line that the slower rows alias": ("tone", ("G2",), {"G2": sampled.line(71.3, 0.018)}, {"frequency_hz": 71.3}),
-    "rows of one rate repeat": ("odr_error", ("G1",), {"G1": sampled.held(160.0)}, {"rate_hz": 160.0}),
-    "a line in one log": ("tone", ("G2",), {"G2": sampled.line(11.0, 0.03, logs=(1,))}, {"frequency_hz": 11.0}),
+    "rows of one rate are correlated": (
+        "bandwidth",
+        ("G1",),
+        {"G1": multirate_logs.low_pass(30.0)},
+        {"cutoff_hz": 30.0},
+    ),
+    "a line that the slower rows alias": (
+        "tone",
+        ("G2",),
+        {"G2": multirate_logs.line(71.3, 0.018)},
+        {"frequency_hz": 71.3},
+    ),
+    "rows of one rate repeat": ("odr_error", ("G1",), {"G1": multirate_logs.held(160.0)}, {"rate_hz": 160.0}),
+    "a line in one log": ("tone", ("G2",), {"G2": multirate_logs.line(11.0, 0.03, logs=(1,))}, {"frequency_hz": 11.0}),
     "a line since a moment": (
         "tone",
         ("G2",),
-        {"G2": sampled.line(31.0, 0.04, since_s=33.0, logs=(0,))},
+        {"G2": multirate_logs.line(31.0, 0.04, since_s=33.0, logs=(0,))},
         {"frequency_hz": 31.0},
     ),
     "even codes for a part of the time": (
         "quantisation",
         ("G3",),
-        {"G3": sampled.even_codes(20.0, 41.0)},
+        {"G3": multirate_logs.even_codes(20.0, 41.0)},
         {"step_lsb": 2.0},
     ),
-    "noise in one log": ("white_noise", ("G1",), {"G1": sampled.more_noise(1.25, (0,))}, {}),
-    "noise for a part of the time": ("white_noise", ("G1",), {"G1": sampled.more_noise(1.3, (0,), 15.0, 40.0)}, {}),
+    "noise in one log": ("white_noise", ("G1",), {"G1": multirate_logs.more_noise(1.25, (0,))}, {}),
+    "noise for a part of the time": (
+        "white_noise",
+        ("G1",),
+        {"G1": multirate_logs.more_noise(1.3, (0,), 15.0, 40.0)},
+        {},
+    ),
     "noise that two of three units share": (
         "common_mode",
         ("G1", "G3"),
-        {name: sampled.shared_noise(0.035) for name in ("G1", "G3")},
+        {name: multirate_logs.shared_noise(0.035) for name in ("G1", "G3")},
         {},
     ),
     "noise that two of three units share since a moment": (
         "common_mode",
         ("G1", "G3"),
-        {name: sampled.shared_noise(0.06, since_s=33.0, logs=(0,)) for name in ("G1", "G3")},
+        {name: multirate_logs.shared_noise(0.06, since_s=33.0, logs=(0,)) for name in ("G1", "G3")},
         {},
     ),
-    "a low-pass since a moment": ("bandwidth", ("G2",), {"G2": sampled.low_pass_since(25.0, 31.0)}, {}),
-    "codes of one axis come in fours in one log": ("quantisation", ("G2",), {"G2": sampled.in_fours(1, (0,))}, {}),
-    "another level for a part of the time": ("bias", ("G1",), {"G1": sampled.shifted(0.06, 17.3, 29.0)}, {}),
-    "another level since a moment": ("bias", ("G3",), {"G3": sampled.shifted(-0.1, 33.1, axis=2)}, {}),
-    "four rows are lost": ("dropped_samples", ("G2",), {"G2": sampled.lost([7.31, 15.02, 40.4, 51.9])}, {}),
+    "a low-pass since a moment": ("bandwidth", ("G2",), {"G2": multirate_logs.low_pass_since(25.0, 31.0)}, {}),
+    "codes of one axis come in fours in one log": (
+        "quantisation",
+        ("G2",),
+        {"G2": multirate_logs.in_fours(1, (0,))},
+        {},
+    ),
+    "another level for a part of the time": ("bias", ("G1",), {"G1": multirate_logs.shifted(0.06, 17.3, 29.0)}, {}),
+    "another level since a moment": ("bias", ("G3",), {"G3": multirate_logs.shifted(-0.1, 33.1, axis=2)}, {}),
+    "four rows are lost": ("dropped_samples", ("G2",), {"G2": multirate_logs.lost([7.31, 15.02, 40.4, 51.9])}, {}),
     "four rows are lost, and no flag says so": (
         "dropped_samples",
         ("G2",),
-        {"G2": sampled.lost([7.31, 15.02, 40.4, 51.9], flagged=False)},
+        {"G2": multirate_logs.lost([7.31, 15.02, 40.4, 51.9], flagged=False)},
         {},
     ),
-    "three readings are off": ("glitches", ("G2",), {"G2": sampled.off([7.31, 40.4, 51.9], 70)}, {}),
+    "three readings are off": ("glitches", ("G2",), {"G2": multirate_logs.off([7.31, 40.4, 51.9], 70)}, {}),
 }
 
 
 @pytest.mark.parametrize("case", some(CASES, 0, 2))
 def test_the_effect_is_the_first_cause(case: str, tmp_path: Path) -> None:
     effect, sensors, changes, told = CASES[case]
-    recordings = sampled.recorded(tmp_path, changes)
+    recordings = multirate_logs.recorded(tmp_path, changes)
     found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     cause = found.causes[0]
     assert (cause.effect, cause.sensors) == (effect, sensors)
@@ -87,8 +107,8 @@ def test_the_effect_is_the_first_cause(case: str, tmp_path: Path) -> None:
 @pytest.mark.campaign
 def test_common_noise_of_two_chips_is_named(tmp_path: Path) -> None:
     """Noise of a supply in both: it is common along their own axes, for any orientation."""
-    changes = {name: sampled.shared_noise(0.003) for name in ("A1", "D1")}
-    recordings = sampled.recorded(tmp_path, changes, names=("A1", "A2", "D1"))
+    changes = {name: multirate_logs.shared_noise(0.003) for name in ("A1", "D1")}
+    recordings = multirate_logs.recorded(tmp_path, changes, names=("A1", "A2", "D1"))
     found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     assert (found.causes[0].effect, found.causes[0].sensors) == ("common_mode", ("A1", "D1"))
 

@@ -16,7 +16,7 @@ from imuarray.gap.recording.recordings import sources_of
 from imuarray.gap.statistics.split import split_of
 from imuarray.log.format import Phase
 from imuarray.simulate.effects.noise import Tone
-from tests.gap import sampled
+from tests.gap import multirate_logs
 from tests.selection import some
 
 LINE = Hypothesis((Tone((0.0, 0.04, 0.0), 17.0),), ("amplitude",))
@@ -89,10 +89,10 @@ def test_timed_hypotheses_observable_in_both_parts(when: When, both: bool) -> No
     ("sensor", "change", "begin_s", "end_s", "within_s"),
     some(
         [
-            ("G3", sampled.even_codes(20.0, 41.0), 20.0, 41.0, 0.1),
-            ("G2", sampled.line(31.0, 0.04, since_s=33.0), 33.0, math.inf, 1.0),
-            ("G1", sampled.more_noise(1.3, (0,), 15.0, 40.0), 15.0, 40.0, 1.0),
-            ("G1", sampled.held(160.0, 12.0, 30.0), 12.0, 30.0, 0.1),
+            ("G3", multirate_logs.even_codes(20.0, 41.0), 20.0, 41.0, 0.1),
+            ("G2", multirate_logs.line(31.0, 0.04, since_s=33.0), 33.0, math.inf, 1.0),
+            ("G1", multirate_logs.more_noise(1.3, (0,), 15.0, 40.0), 15.0, 40.0, 1.0),
+            ("G1", multirate_logs.held(160.0, 12.0, 30.0), 12.0, 30.0, 0.1),
         ],
         1,
     ),
@@ -100,14 +100,14 @@ def test_timed_hypotheses_observable_in_both_parts(when: When, both: bool) -> No
 def test_intervals_are_suggested_by_the_course_of_a_log(
     tmp_path_factory: pytest.TempPathFactory,
     sensor: str,
-    change: sampled.Change,
+    change: multirate_logs.Change,
     begin_s: float,
     end_s: float,
     within_s: float,
 ) -> None:
     """These, and the rest of the time; none for the other sensors."""
     folder = tmp_path_factory.mktemp("course")
-    (log,) = sampled.recorded(folder, {sensor: change}, (sampled.FAST,))
+    (log,) = multirate_logs.recorded(folder, {sensor: change}, (multirate_logs.FAST,))
     found = {name: stretches_of(source, log.phases) for name, source in sources_of(log).items()}
     assert {name for name, own in found.items() if own} == {sensor}
     sides = [own for own in found[sensor] if len(own) == 1 and own[0][0] > 0]
@@ -119,6 +119,10 @@ def test_intervals_are_suggested_by_the_course_of_a_log(
 def test_a_uniform_log_has_no_intervals(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Neither has a log with a permanent effect."""
     folder = tmp_path_factory.mktemp("same")
-    changes = {"G1": sampled.low_pass(40.0), "G2": sampled.line(31.0, 0.05), "G3": sampled.held(160.0)}
-    (log,) = sampled.recorded(folder, changes, (sampled.FAST,), seed=3)
+    changes = {
+        "G1": multirate_logs.low_pass(40.0),
+        "G2": multirate_logs.line(31.0, 0.05),
+        "G3": multirate_logs.held(160.0),
+    }
+    (log,) = multirate_logs.recorded(folder, changes, (multirate_logs.FAST,), seed=3)
     assert not any(stretches_of(source, log.phases) for source in sources_of(log).values())
