@@ -11,6 +11,7 @@ import sys
 from collections.abc import Generator, Iterator
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 if sys.dont_write_bytecode:  # as in many containers: every start of the program would compile all its modules
     sys.dont_write_bytecode = False
@@ -60,6 +61,35 @@ LONGEST = (
 
 
 HERE = Path(__file__).parent
+
+SHARED = {
+    "tests/gap/effects/": "replicates of the small campaigns",
+    "tests/firmware/": "compiled firmware",
+    "tests/report/": "Matplotlib",
+    "tests/characterise/test_plots.py": "Matplotlib",
+    "tests/characterise/test_scale.py": "Matplotlib",
+    "tests/export/": "pandas",
+    "tests/test_analysis.py": "pandas",
+    "tests/log/test_format.py": "pandas",
+}
+"""What files of the quick half share that takes a second to make or to import: a worker gets all files that share it.
+Other files are distributed file by file.
+"""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Distribute the quick half by what is shared, in the place of `--dist loadscope`."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    if config.getvalue("dist") != "loadscope" or "not slow" not in config.option.markexpr:
+        return None
+
+    class SharedScheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return next((shared for start, shared in SHARED.items() if nodeid.startswith(start)), nodeid.split("::")[0])
+
+    return SharedScheduling(config, log)
 
 
 def _begins_at_the_end(config: pytest.Config) -> bool:

@@ -71,7 +71,7 @@ def make_logs(example: str, folder: Path) -> None:
             ia.simulate(array, path, experiment="turn-on", seconds=60.0, boot=boot).close()
 
 
-@pytest.mark.parametrize("name", some(SHOWN, 4))
+@pytest.mark.parametrize("name", some(SHOWN, 0))
 def test_the_example_runs(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     shown, around = resolved(name)

@@ -166,11 +166,21 @@ def test_every_block_is_of_a_kind_that_is_tested() -> None:
         assert set(marks) <= KINDS, page
 
 
-@pytest.mark.parametrize(
-    "line", [line for page in PAGES for kind in ("sh hardware", "sh slow", "sh") for line in lines(page, kind)]
-)
-def test_options_exist(line: str) -> None:
-    """Of commands that need hardware or much time too: they are parsed and not run."""
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_paths_names_and_options_of_a_page_exist(page: Path) -> None:
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose(page))
+    assert [target for target in targets if ":" not in target and not (page.parent / target).exists()] == []
+    paths = re.findall(r"`((?:imuarray|firmware_emulator|tests|configs|docs|\.ci)/[\w./@-]*)`", prose(page))
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+    names = set(re.findall(r"\b((?:imuarray|firmware_emulator)(?:\.[A-Za-z_]\w*)+)", prose(page)))
+    assert [name for name in sorted(names) if not exists(name)] == []
+    for kind in ("sh hardware", "sh slow", "sh"):
+        for line in lines(page, kind):
+            parse(line)
+
+
+def parse(line: str) -> None:
+    """Parse a command line without running it, since some need hardware or much time."""
     words = shlex.split(line)
     if words[0] != "imuarray":
         assert words[0] in ("python", "python3", "sudo", "echo", "mkdir", "gzip"), line
@@ -216,24 +226,6 @@ def test_an_array_example_is_an_array(page: Path, tmp_path: Path) -> None:
 def prose(page: Path) -> str:
     """A page without its code blocks."""
     return re.sub(r"^ *```.*?^ *```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_links_have_existing_targets(page: Path) -> None:
-    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose(page))
-    assert [target for target in targets if ":" not in target and not (page.parent / target).exists()] == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_paths_exist(page: Path) -> None:
-    written = re.findall(r"`((?:imuarray|firmware_emulator|tests|configs|docs|\.ci)/[\w./@-]*)`", prose(page))
-    assert [path for path in written if not (ROOT / path).exists()] == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_dotted_names_exist(page: Path) -> None:
-    written = set(re.findall(r"\b((?:imuarray|firmware_emulator)(?:\.[A-Za-z_]\w*)+)", prose(page)))
-    assert [name for name in sorted(written) if not exists(name)] == []
 
 
 def exists(name: str) -> bool:

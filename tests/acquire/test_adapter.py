@@ -84,6 +84,7 @@ class InterruptedBus:
         return getattr(self.bus, name)
 
 
+@pytest.mark.slow
 def test_interrupted_readings_are_counted_and_their_times_are_within_half(board: Callable[..., Any]) -> None:
     made = board(A=0, G=0)
     made.bus = InterruptedBus(made.bus.bus, 0x68)

@@ -112,6 +112,7 @@ def test_making_routes_sends_nothing(an_array: Callable[..., Any], tapped: Calla
     assert bus.calls == []
 
 
+@pytest.mark.slow
 def test_only_queues_drained_on_the_wrong_channel_are_lost(tmp_path: Path) -> None:
     """For 0.2 s the other channel is connected: the samples in the queues of both gyroscopes at 0x68 are lost
     or of the other. The queue of the accelerometer on the trunk was read normally.

@@ -70,6 +70,7 @@ def _recorded(tmp_path: Path, name: str, rate_hz: float, seconds: float = 6.0) -
     return path, saboteur.acted_ns - saboteur.armed_ns
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(["ADXL2", "BMA1", "Gyro3", "HMC1"], 1))
 def test_a_reset_chip_is_detected_within_a_second_and_its_rows_since_are_suspect(tmp_path: Path, name: str) -> None:
     path, reset_ns = _recorded(tmp_path, name, rate_hz=48.0)

@@ -142,6 +142,7 @@ judge, which there is not here."""
 MOMENTARY = ("reset", "torn", "mux_reset")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("every_s", "seconds"),
     [

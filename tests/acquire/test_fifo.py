@@ -95,6 +95,7 @@ def test_a_polled_chip_overruns_only_where_every_sample_was_meant_to_be_read(tmp
             assert not (np.asarray(log["A"].status)[1:] & OVERRUN).any()
 
 
+@pytest.mark.slow
 def test_a_late_frame_that_costs_a_sample_is_flagged(tmp_path: Path) -> None:
     """100 Hz polled at 120, and once the poll sleeps for 50 ms: the next reading is flagged for unread samples."""
     array = parse_array('[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=100\n')

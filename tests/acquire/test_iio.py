@@ -128,6 +128,7 @@ def test_the_nul_at_the_end_of_an_attribute_is_ignored(machine: KernelMachine) -
     assert (device.folder / "current_timestamp_clock").read_bytes() == b"monotonic\n\0"
 
 
+@pytest.mark.slow
 def test_samples_that_the_buffer_dropped_are_flagged(machine: KernelMachine) -> None:
     device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
     clock = SteppedClock(played(device, small_scan, leave_out=range(30, 33)))

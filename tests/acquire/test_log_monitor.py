@@ -73,6 +73,7 @@ def test_the_page_shows_the_first_part_and_the_fused_file(log: Call, pages: list
     assert pages == [["monitor", "run_001.h5", *parent, *address, "--fused", "out.h5"]]
 
 
+@pytest.mark.slow
 def test_no_page_is_served_without_the_option(log: Call, pages: list[list[str]]) -> None:
     assert log()[0] == 0
     assert pages == []

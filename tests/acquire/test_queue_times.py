@@ -38,6 +38,7 @@ class LateBoard(Board):
         return ClockElement()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("die", "rate_hz", "error", "on_spi"),
     [

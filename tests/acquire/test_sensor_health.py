@@ -93,6 +93,7 @@ def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(
             assert count == pytest.approx(done.lost["P"], abs=2)  # its way back takes one or two more
 
 
+@pytest.mark.slow
 def test_a_queue_restarts_after_a_reset(faulty_recording: Callable[..., Any], tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="Q"\nchip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=800\n'
@@ -149,6 +150,7 @@ def test_a_reading_that_is_frozen_at_the_end_is_reported_once(
         assert not np.asarray(log["A"].status).any()
 
 
+@pytest.mark.slow
 def test_rows_without_a_later_check_are_suspect_at_the_end(board: Callable[..., Any]) -> None:
     """From 4 s on no configuration register can be read back, though readings arrive."""
     made = board("", lambda call: call.read == 1 and call.at_ns > 4 * SECOND, B=0)
@@ -160,6 +162,7 @@ def test_rows_without_a_later_check_are_suspect_at_the_end(board: Callable[..., 
         assert not (status[time < 2 * SECOND] & SUSPECT).any()
 
 
+@pytest.mark.slow
 def test_sensors_on_a_separate_bus_are_read_while_another_bus_hangs(tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'

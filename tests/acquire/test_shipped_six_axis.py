@@ -120,6 +120,7 @@ def test_either_half_sets_up_a_reset_die_and_does_not_touch_the_other(die: str) 
         assert page[own] == value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name == "lsm6dso_pair" else (pytest.mark.slow,)) for name in SHIPPED],

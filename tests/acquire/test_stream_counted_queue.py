@@ -83,6 +83,7 @@ def check(
     return gaps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("die", EVERY_DIE)
 def test_every_sample_is_logged_at_its_time(die: str, tmp_path: Path) -> None:
     array = array_of(die)

@@ -137,6 +137,7 @@ def a_shuffled_span(tape: Tape, draw: np.random.Generator) -> Injection:
 REPLAYS = [one_old_frame, the_last_frame_again, a_recent_span, recent_bytes, a_shuffled_span]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inject", some(REPLAYS, 1))
 @pytest.mark.parametrize("counter_us", some([(1 << 32) - 3_000_000, 70_000_000], 1))  # it wraps after 3 s
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])

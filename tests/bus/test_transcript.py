@@ -435,6 +435,7 @@ def test_a_full_disk_ends_the_transcript_and_not_the_bus(tmp_path: Path) -> None
         assert bus.transfer(0x53, b"\x00", 1) == b"\x02"
 
 
+@pytest.mark.slow
 def test_a_microcontroller_is_polled_while_a_transcript_is_written(tmp_path: Path) -> None:
     text = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
     array = parse_array(text)

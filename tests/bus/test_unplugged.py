@@ -203,6 +203,7 @@ def test_an_unplugged_adapter_is_searched_at_intervals(
         assert 45 <= len(looks) <= 51  # 10 s, every 0.2 s
 
 
+@pytest.mark.slow
 def test_channels_of_the_kernel_return_with_their_adapter(bench: Callable[..., Bench], tmp_path: Path) -> None:
     """Each channel's removal waits until it is closed, the adapter's until all of them are; nothing is on the adapter
     itself. The multiplexer is set up again from outside; the channels have other numbers then.

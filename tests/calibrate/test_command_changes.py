@@ -118,6 +118,7 @@ def test_thermal_reports_slopes_meanings_and_pairs(
     assert known.thermal is not None and known.provenance["thermal"].logs == (heating,)
 
 
+@pytest.mark.slow
 def test_thermal_prints_a_table(heating: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "thermal", heating, "-o", str(tmp_path / "cal.toml")]) == 0
     out = capsys.readouterr().out

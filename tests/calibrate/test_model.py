@@ -63,7 +63,7 @@ def triples(of: st.SearchStrategy[float]) -> st.SearchStrategy[np.ndarray]:
 
 matrices = st.lists(st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), min_size=3, max_size=3)
 
-texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+texts = st.text(st.characters(codec="utf-8"), max_size=12)
 counts = st.integers(0, 999)
 unknown_or_positive = st.lists(positive | st.just(float("nan")), min_size=3, max_size=3).map(np.array)
 
@@ -125,7 +125,7 @@ origins = st.builds(
 
 sensors = st.builds(
     SensorCalibration,
-    name=st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12),
+    name=st.text(st.characters(codec="utf-8"), min_size=1, max_size=12),
     quantity=st.just("specific_force"),
     unit=st.just("g"),
     bias_lsb=triples(numbers),

@@ -33,6 +33,7 @@ def leaning(degrees: float) -> Felt:
     return lambda seconds: np.tile([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))], (len(seconds), 1))
 
 
+@pytest.mark.slow
 def test_turn_on_of_moving_logs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [record(tmp_path / f"{seed}.h5", carried, seed) for seed in range(3)]
     assert main(["calibrate", "turn-on", *map(str, paths), "-o", str(tmp_path / "cal.toml")]) == 2

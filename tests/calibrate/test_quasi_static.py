@@ -154,7 +154,7 @@ def test_the_command_names_the_method(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize(
     ("rows", "flag", "is_sound"),
-    [(5, 0, True), (4, 0, False), (5, SATURATED, False), (5, SUSPECT, False), (5, OVERRUN, True)],
+    some([(5, 0, True), (4, 0, False), (5, SATURATED, False), (5, SUSPECT, False), (5, OVERRUN, True)], 2),
 )
 def test_the_middle_of_a_segment_by_a_parabola(tmp_path: Path, rows: int, flag: int, is_sound: bool) -> None:
     """1000 + 100 k + 10 k^2, k = -2 ... 2, plus 6 (1, -4, 6, -4, 1), which is orthogonal to every parabola: 36 * 70

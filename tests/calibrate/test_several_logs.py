@@ -59,6 +59,7 @@ def test_noise_is_pooled_over_logs(tmp_path: Path) -> None:
     assert noise == pytest.approx([10.0] * 3, rel=5 / np.sqrt(2 * 800))
 
 
+@pytest.mark.slow
 def test_another_range_in_one_of_the_logs_is_refused(tmp_path: Path) -> None:
     paths = [write(tmp_path / f"{face}.h5", [face], 16.0 if face != "y_up" else 8.0) for face in FACES]
     logs = [open_log(path) for path in paths]

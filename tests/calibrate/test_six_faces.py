@@ -66,6 +66,7 @@ def test_faces_may_have_any_order_and_repeat(write_log: WriteLog) -> None:
     np.testing.assert_allclose(result.calibration.sensors["A"].bias_lsb, BIAS, atol=1e-3 * PER_G)
 
 
+@pytest.mark.slow
 def test_the_missing_face_is_named(write_log: WriteLog) -> None:
     """Box -Y points along the sensor's x, as the axes +Y+X-Z have it, down: no reading has -x up."""
     with pytest.raises(CalibrationError, match=r"5 static poses \(no pose with -x of the sensor up\), at least 9 are"):

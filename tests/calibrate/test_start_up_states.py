@@ -81,6 +81,7 @@ def calibration_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cal.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second", some([False, True], 1))
 def test_the_bias_of_the_state_is_used(calibration_file: Path, tmp_path: Path, second: bool) -> None:
     from imuarray.calibrate import load_calibration
@@ -99,6 +100,7 @@ def test_the_bias_of_the_state_is_used(calibration_file: Path, tmp_path: Path, s
     assert starts["B"].sentence("B", known) == ""
 
 
+@pytest.mark.slow
 def test_live_fusion_uses_the_same_biases(calibration_file: Path, tmp_path: Path) -> None:
     """The monitor of a recording reads the same first seconds."""
     judge = StartStateDetector(load_calibration(calibration_file), ARRAY.sensitivities)
@@ -113,6 +115,7 @@ def test_live_fusion_uses_the_same_biases(calibration_file: Path, tmp_path: Path
     assert before != pytest.approx(expected, abs=3.0)
 
 
+@pytest.mark.slow
 def test_a_sensor_in_the_wrong_range_is_named_and_excluded(
     calibration_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -135,6 +138,7 @@ class Shaken(HandShake):
         return super().phases[1:2]
 
 
+@pytest.mark.slow
 def test_a_log_without_rest_reports_no_start_up_fault(calibration_file: Path, tmp_path: Path) -> None:
     """The sensor in the wrong range has a fault after half a second of rest, and none if the log has no rest."""
     from imuarray.calibrate import load_calibration

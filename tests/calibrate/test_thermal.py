@@ -441,6 +441,7 @@ def test_unsuitable_logs_are_refused(write: Write, options: dict[str, object], m
         run(path)
 
 
+@pytest.mark.slow
 def test_logs_of_different_settings_are_refused(write: Write) -> None:
     one = write([(gyroscope("G"), (0.1, 0.1, 0.1))], name="one.h5")
     other = write([(gyroscope("G", "-X-Y+Z"), (0.1, 0.1, 0.1))], name="other.h5")

@@ -10,6 +10,7 @@ import pytest
 from imuarray.characterise.processing import find_interpolation
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
+from tests.selection import some
 
 ROWS = 4000
 NOISE = np.random.default_rng(1).normal(0, 30, (ROWS, 3))
@@ -49,6 +50,6 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", some(OTHERS, 2))
 def test_other_rows_are_not_reported_as_interpolated(name: str, tmp_path: Path) -> None:
     assert found(tmp_path / "a.h5", OTHERS[name]) is None

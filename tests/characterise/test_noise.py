@@ -93,6 +93,7 @@ def test_too_few_rows_give_no_statistics() -> None:
     assert np.isnan(stuck.lag1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pole", [0.0, 0.8])
 def test_intervals_of_the_mean_cover(pole: float) -> None:
     """Mean +- t(31) * error covers the true mean in 95 % of 600 series, white or with a correlation of 0.8.

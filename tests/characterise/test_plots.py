@@ -89,7 +89,7 @@ def test_figures_of_incomplete_sensors_are_drawn(
         assert figure.texts[-1].get_text().startswith("no sensor has")
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", some(FIGURES, 1))
 def test_a_figure_without_matplotlib_is_refused(
     result: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -299,7 +299,7 @@ def test_files_are_named_and_written(result: dict[str, Any], tmp_path: Path) -> 
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("name", some(FIGURES, 2))
+@pytest.mark.parametrize("name", some(FIGURES, 1))
 def test_labels_are_inside_the_figure_and_panels_do_not_overlap(result: dict[str, Any], name: str) -> None:
     figure = FIGURES[name](result)
     figure.canvas.draw()

@@ -112,6 +112,7 @@ def test_a_processed_recording_is_reported_as_processed(name: str, tmp_path: Pat
             recordings_of([log])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name if name == "codes" else pytest.param(name, marks=pytest.mark.slow) for name in RAW]
 )
@@ -121,6 +122,7 @@ def test_raw_readings_are_not_reported_as_processed(name: str, tmp_path: Path) -
             assert [text for text in find_processing(sensor) if "gravity" not in text] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "is_named"), some([(4, True), (2, False), (6, True), (3, False)], 1))
 def test_a_filter_of_higher_order_than_a_chips_is_a_programs(order: int, is_named: bool, tmp_path: Path) -> None:
     """The rounded output of a Butterworth filter; chips have filters up to the third order (ICM-42688-P)."""
@@ -141,6 +143,7 @@ def test_an_accelerometer_without_gravity_is_excluded(tmp_path: Path) -> None:
         assert not [text for text in report_of(log).doubts if text.startswith("Gyro")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "wanted", "per_dps"),
     [

@@ -78,6 +78,7 @@ def test_pulses_at_one_phase_do_not_average_down(tmp_path: Path) -> None:
     assert sensors["B"].pulse_error_s == pytest.approx(2.02e-3)
 
 
+@pytest.mark.slow
 def test_characterise_prints_the_alignment_by_pulses(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
     written(path, {"A": (503.1, 0.0, False), "B": (498.7, 700e-6, False)})

@@ -281,6 +281,7 @@ def test_the_driver_opens_the_bypass_and_reads_the_field_in_the_axes_of_the_box(
         assert magnetometer.self_test().passed
 
 
+@pytest.mark.slow
 def test_a_reset_mpu9250_is_reported_and_its_bypass_opened_again(mpu9250_array: ArrayConfig, tmp_path: Path) -> None:
     faults, path = tmp_path / "faults.toml", tmp_path / "run.h5"
     faults.write_text('[[fault]]\nkind = "reset"\nsensor = "Acc"\nat_s = 2.0\n')

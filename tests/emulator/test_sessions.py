@@ -119,6 +119,7 @@ def test_only_the_bias_of_toleranced_parts_changes_between_power_ups():
     assert abs(RATE_ERROR["bma180"].limit) == 0.1
 
 
+@pytest.mark.slow
 def test_a_world_is_recorded_from_a_file(tmp_path, capsys):
     table = {
         "array": ARRAY,

@@ -16,6 +16,7 @@ from tests.export.conftest import ACC_COUNTS, EPOCH, GYRO_COUNTS
 SCRIPT = Path(__file__).parents[2] / "docs" / "matlab" / "read_imuarray.m"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="GNU Octave is not installed")
 def test_octave_reads_counts_and_values(run: Path) -> None:
     export(run, run.with_name("r.mat"))

@@ -156,6 +156,7 @@ def test_every_message_equals_that_of_a_row_by_row_writer(tmp_path: Path, units:
     assert (statistics.message_start_time, statistics.message_end_time) == (result[0][0], result[-1][0])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:(start|end)_time is deprecated")  # the lowest version has no other name
 def test_a_time_range_is_read_by_the_index(tmp_path: Path) -> None:
     from mcap.reader import make_reader

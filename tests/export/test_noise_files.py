@@ -291,6 +291,7 @@ def test_px4_has_a_plugin_with_the_figures_of_kalibr(walking: Path, tmp_path: Pa
         assert float(result[f"{prefix}RandomWalk"] or "") == pytest.approx(kalibr[f"{prefix}_random_walk"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", some(["yaml", "sdf"], 1))
 @pytest.mark.parametrize("second", [False, True])
 def test_a_bound_is_a_comment_and_never_a_value(still: Path, tmp_path: Path, suffix: str, second: bool) -> None:

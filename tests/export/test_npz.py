@@ -58,6 +58,7 @@ def test_colliding_names_are_made_distinct(tmp_path: Path) -> None:
         assert arrays[called["sensors/A_temperature"]["counts"]].tolist() == [[1, 1, 1]] * 2
 
 
+@pytest.mark.slow
 def test_the_size_of_blocks_does_not_change_the_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     with LogWriter(tmp_path / "a.h5", [ACC], source="simulated", epoch=EPOCH) as log:

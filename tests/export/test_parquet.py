@@ -21,6 +21,7 @@ from tests.selection import examples
 parquet = pytest.importorskip("pyarrow.parquet")
 
 
+@pytest.mark.slow
 def test_pandas_reads_types_dates_and_values(run: Path, fused: Path) -> None:
     pandas = pytest.importorskip("pandas")
     files = export(run, run.with_name("r.parquet")).files

@@ -282,6 +282,7 @@ def test_a_guessed_map_restores_the_counts(tmp_path: Path) -> None:
     assert main(["verify", f"{tmp_path}/b.h5"]) == 0
 
 
+@pytest.mark.slow
 def test_a_guessed_map_omits_the_truth(tmp_path: Path) -> None:
     """It would be two more sensors of the array."""
     words = ["simulate", "martin2013", "--only", "ADXL1,Gyro1", "--seconds", "5", "-o", f"{tmp_path}/run.h5"]

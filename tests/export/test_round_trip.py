@@ -56,6 +56,7 @@ def test_one_sensor_round_trips_by_its_table(run: Path) -> None:
     assert all(copy[name] == was[name] for name in copy if name.startswith("sensors/"))
 
 
+@pytest.mark.slow
 def test_the_rows_of_an_interrupted_log_are_exported(tmp_path: Path) -> None:
     header = SensorHeader("S", "l3g4200d", "angular_rate", "dps", 250.0, 114.3)
     log = LogWriter(tmp_path / "a.h5", [header], source="emulated", epoch=EPOCH)
@@ -69,7 +70,7 @@ def test_the_rows_of_an_interrupted_log_are_exported(tmp_path: Path) -> None:
         assert copy["S"].counts[:].tolist() == [[5, 5, 5]] * 7
 
 
-TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=8)
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=8)
 WORD = st.from_regex(r"[A-Za-z][\w,;\"' =+.-]{0,6}", fullmatch=True).filter(lambda word: word.isprintable())
 TIMES = st.lists(st.integers(-(2**61), 2**61), max_size=5, unique=True).map(sorted)
 FLOAT = st.floats(allow_nan=False) | st.just(float("nan"))
@@ -193,7 +194,7 @@ class TestCommand:
                 (["run.h5", "-o", "r.yaml"], "no inertial sensor whose noise could be fitted"),
                 (["fused.h5", "-o", "r.yaml"], "no inertial sensor whose noise could be fitted"),
             ],
-            4,
+            2,
         ),
     )
     def test_bad_input_is_one_line(

@@ -258,6 +258,7 @@ class EightChips:
         """Any mode and clock."""
 
 
+@pytest.mark.slow
 def test_eight_six_axis_chips_at_1_khz_are_streamed(host_program: Path, tmp_path: Path, hasty: None) -> None:
     """A frame has 144 bytes on the wire, as on paper: 15 of the link, the number of the list, and of each chip an age
     and 14 bytes. Each row is what its chip answered in that frame; frames for which there was no time are missing whole

@@ -62,6 +62,7 @@ def test_frames_that_a_bad_line_loses_are_sent_again(
     assert not [text for text in refusals if "old" in text or "no kind" in text or "connected" in text]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("silent_s", some([0.5, 1.5], 1))
 def test_an_interruption_of_the_line_loses_nothing(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, silent_s: float
@@ -157,7 +158,7 @@ class TestMissing:
         ]
 
     @pytest.mark.parametrize("first", [0, 1, 65_530])
-    @pytest.mark.parametrize("seed", range(5))
+    @pytest.mark.parametrize("seed", some(range(5), 1))
     def test_missing_frames_match_a_count(self, first: int, seed: int) -> None:
         from collections import Counter
 

@@ -114,7 +114,7 @@ def test_a_sensor_lost_for_long_is_removed_from_the_mean(write_run: WriteRun) ->
     assert fused[~alone] == pytest.approx(np.tile([-0.25, -0.25, 0.75], (932, 1)), abs=1e-9)
 
 
-@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("technique", some(TECHNIQUES, 2))
 def test_frames_without_a_valid_reading_are_nan(write_run: WriteRun, technique: str) -> None:
     doubt: Callable[[Floats], npt.NDArray[np.bool_]] = lambda seconds: (seconds > 2.995) & (seconds < 3.995)  # noqa: E731
     parts = [part._replace(suspect=doubt) for part in precise((0.0, 0.0))]
@@ -158,7 +158,7 @@ def missing(kind: str) -> list[Part]:
 
 
 @pytest.mark.parametrize("technique", some(TECHNIQUES, 1))
-@pytest.mark.parametrize("kind", some(["one sensor", "nothing", "every seventh row", "all in doubt", "frames"], 2))
+@pytest.mark.parametrize("kind", some(["one sensor", "nothing", "every seventh row", "all in doubt", "frames"], 1))
 @pytest.mark.parametrize("jitter_s", some([0.001, 0.0], 1))
 def test_results_do_not_depend_on_blocks(write_run: WriteRun, technique: str, kind: str, jitter_s: float) -> None:
     """The missing rows cross the end of the first block of 1000."""
@@ -173,6 +173,7 @@ def test_results_do_not_depend_on_blocks(write_run: WriteRun, technique: str, ki
     assert np.nanmax(np.abs(results[0] - results[1])) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_s", some([0.0005, 0.0012], 1))
 def test_correcting_the_skew_adds_no_noise(write_run: WriteRun, step_s: float) -> None:
     """Eight sensors spread over 40 % of a frame and over all of it: the noise of their mean, sigma / sqrt(8), within 2

@@ -108,6 +108,7 @@ def test_errors_of_sensors_that_changed_are_within_their_covariance(write_run: W
     assert low < squares / share < high
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_line_on_the_temperature(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -80,6 +80,7 @@ def test_blocks_do_not_change_offsets_and_unknown_offsets_are_ignored() -> None:
     assert AxisOffsets(ROWS)(Frames(clipped.time, clipped.values, clipped.valid, ends)).offsets is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("technique", some([name for name in TECHNIQUES if name != "opposed"], 1))
 def test_a_slow_oscillator_causes_no_steps_in_the_fused_log(write_run: WriteRun, technique: str) -> None:
     """Eight gyroscopes at rest with one bias each, in whole counts; each of them misses one frame of fifty. Every fused

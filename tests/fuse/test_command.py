@@ -249,7 +249,7 @@ def test_the_report_lists_changes_and_uncalibrated_sensors(
 
 
 @pytest.mark.parametrize("technique", some(["mean", "opposed", "ranges"], 1))
-@pytest.mark.parametrize("truth", ["truth", ""])
+@pytest.mark.parametrize("truth", some(["truth", ""], 1))
 def test_both_results_are_measured_while_the_file_is_written(
     write_run: WriteRun, tmp_path: Path, technique: str, truth: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

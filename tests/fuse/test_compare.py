@@ -95,6 +95,7 @@ def test_another_process_computes_the_same_figures(run: Path) -> None:
     assert shares[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", some([777, 5000], 1))
 def test_scores_do_not_depend_on_blocks(run: Path, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_log(run) as log:

@@ -40,7 +40,7 @@ def fused(path: Path, parts: list[Part], technique: str) -> list[Floats]:
 
 
 @pytest.mark.parametrize("technique", ["mean", "planes", "ranges"])
-@pytest.mark.parametrize("case", some(["sound", "suspect", "lost", "clipped"], 2))
+@pytest.mark.parametrize("case", some(["sound", "suspect", "lost", "clipped"], 1))
 def test_a_compiled_fusion_equals_numpy(
     write_run: WriteRun, monkeypatch: pytest.MonkeyPatch, technique: str, case: str
 ) -> None:

@@ -87,7 +87,7 @@ BAD: dict[str, tuple[Callable[[h5py.File], Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", some(BAD, 8))
+@pytest.mark.parametrize("kind", some(BAD, 4))
 def test_invalid_columns_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     change, words = BAD[kind]
     path = written(tmp_path / "bad.h5")

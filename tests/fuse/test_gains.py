@@ -136,6 +136,7 @@ def test_too_few_frames_are_refused(tmp_path: Path) -> None:
         found(write(tmp_path, 9))
 
 
+@pytest.mark.slow
 def test_techniques_are_compared_on_the_same_frames(tmp_path: Path) -> None:
     """At 1.45 g the low range has no weight; while rows of the high range are lost, only the average has a value."""
 

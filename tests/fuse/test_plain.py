@@ -78,6 +78,7 @@ def ways(run: Path, known: Calibration, monkeypatch: pytest.MonkeyPatch) -> tupl
     return [joined(first, name)[1] for name in quantities], [joined(second, name)[1] for name in quantities], long
 
 
+@pytest.mark.slow
 def test_fast_and_full_paths_agree(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -> None:
     run = write_run(at_once(), force=shaken, rate=shaken)
     first, second, long = ways(run, calibration(at_once()), monkeypatch)

@@ -141,6 +141,7 @@ def test_the_low_range_fades_without_a_step() -> None:
     assert np.abs(np.diff(share)).max() < 1.6 * 0.8 / 100 * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bias_g", [0.0, 0.05])
 def test_no_step_where_the_high_range_takes_over(write_run: WriteRun, bias_g: float) -> None:
     """Equal bias, no noise, from 0 to 3 g: the error stays the bias, within half a count of the coarser sensor."""

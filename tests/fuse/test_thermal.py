@@ -61,6 +61,7 @@ def test_a_thermometer_without_a_zero_is_used_for_its_own_slopes(tmp_path: Path)
     assert (drift(after) < drift(before) / 20).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("inside", "slopes"), [("l3g4200d", "barometer"), ("barometer", "relative")])
 def test_slopes_of_another_kind_of_thermometer_are_not_applied(tmp_path: Path, inside: str, slopes: str) -> None:
     path = heating(tmp_path / "heat.h5", inside, ["G1"])

@@ -475,6 +475,7 @@ def test_a_drift_in_short_phases_gives_no_filter() -> None:
     assert sum(fitted.low_pass is not None for fitted in each) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cutoff_hz", "poles"), some([(6.0, 2), (12.0, 1), (12.0, 2), (25.0, 1)], 1))
 def test_correlated_noise_is_not_underestimated(cutoff_hz: float, poles: int) -> None:
     """Segments of 312 rows: about their own mean rows after a filter of 6 Hz vary by 5 % less, and their median is
@@ -629,6 +630,7 @@ def test_accelerometers_of_a_replicate_have_a_common_bias() -> None:
     np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_a_machine_in_the_surroundings_runs_in_some_logs_only() -> None:
     """In half of the replicates a line acts in all logs, in the others in half of them, for both sensors alike."""
     base = fit(campaign_of("static"), PLANS["static"])

@@ -88,6 +88,7 @@ def test_caches_of_a_bench_are_not_pickled(both: tuple[Bench, Campaign]) -> None
     assert len(pickle.dumps(bench)) <= before
 
 
+@pytest.mark.slow
 def test_the_training_part_alone_equals_that_of_the_whole(both: tuple[Bench, Campaign]) -> None:
     bench, _ = both
     whole = bench.replicate(bench.models(), 3)

@@ -175,6 +175,7 @@ tone.frequency_hz = 17.0
 """
 
 
+@pytest.mark.slow
 def test_effects_of_the_model_are_not_fitted_twice() -> None:
     """Of A1's 1.05 g on +z the model explains 0.03 g, 0.02 g are bias; of G1's variance 0.05^2 / 2 is the tone's, the
     rest of 0.05^2 + 0.05^2 / 2 white. 1000 rows: 4 standard errors of the rms are 9 %, of the remainder without the

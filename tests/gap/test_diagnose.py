@@ -82,6 +82,7 @@ def amplitude_of(cause: Mapping[str, Any]) -> list[float]:
     return [float(value) for value in cause["amplitude_dps"]]
 
 
+@pytest.mark.slow
 def test_a_line_is_named_and_closed(tone: Diagnosis) -> None:
     """1000 rows in noise of 0.05 dps determine an amplitude to 0.0022 dps, bins of the spectrum are 0.4 Hz apart at
     most.
@@ -179,6 +180,7 @@ def test_a_surplus_effect_of_the_model_is_removed(tmp_path: Path) -> None:
     assert "tone" not in sensor.effects
 
 
+@pytest.mark.slow
 def test_noise_is_not_fitted_twice(tmp_path: Path) -> None:
     """The model has the line that the recording has: of the variance 0.05^2 + 0.05^2 / 2 the noise keeps the first."""
     line = Tone((0.0, 0.05, 0.0), 17.0)

@@ -198,6 +198,7 @@ def test_gain_of_individual_causes_of_members_together(
     assert all(both.standing.models[name].added == (line,) for name in BOTH)
 
 
+@pytest.mark.slow
 def test_an_individual_cause_explained_by_the_common_one_is_redundant(
     swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:

@@ -65,7 +65,7 @@ class Swing(Still):
         return replace(super().stimulus(time_ns), rate_box=rate)
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.004, 0.013])
+@pytest.mark.parametrize("late_s", some([0.0, 0.004, 0.013], 1))
 def test_the_lag_of_a_periodic_motion_is_not_determined(tmp_path: Path, late_s: float) -> None:
     """For any lag between two rows of the grid: the lags of a periodic motion are known up to its period."""
     path, motion = tmp_path / "log.h5", Swing(seconds=20)

@@ -372,6 +372,7 @@ def test_the_map_has_the_largest_score_of_each_sensor_and_domain() -> None:
     assert (found.sensors, found.limit) == (("A1", "G1"), 4.0)
 
 
+@pytest.mark.slow
 def test_a_statistic_is_reported_in_its_unit() -> None:
     """A line of 0.04 dps in noise of 0.05 dps; 20 s of 100 rows/s."""
     found = found_in(LINE)

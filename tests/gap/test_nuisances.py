@@ -135,7 +135,7 @@ def test_a_line_of_one_accelerometer_is_not_of_the_room() -> None:
     assert vibrating(4e-4, "A1") == ()
 
 
-@pytest.mark.parametrize(("amplitude_g", "is_of_room"), [(2e-3, True), (5e-3, False)])
+@pytest.mark.parametrize(("amplitude_g", "is_of_room"), some([(2e-3, True), (5e-3, False)], 1))
 def test_a_line_of_a_single_accelerometer_may_be_of_the_room(amplitude_g: float, *, is_of_room: bool) -> None:
     """Without another accelerometer in the array it cannot be told, up to an amplitude of some milli-g."""
     lines = vibrating(amplitude_g, "A1", array=("A1",))

@@ -515,6 +515,7 @@ COURSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drifting", "shape", "is_left_out"),
     some(

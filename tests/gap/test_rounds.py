@@ -150,6 +150,7 @@ def test_nothing_is_accepted_without_candidates() -> None:
     assert heard == ["looking for causes, round 1: 1 sensors"]
 
 
+@pytest.mark.slow
 def test_a_known_sensor_is_the_only_one_searched() -> None:
     """Without a gap no sensor is searched; the sensor that is known to have the effect is."""
     found, candidates = found_in(), {"tone": CANDIDATES["tone"]}

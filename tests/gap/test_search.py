@@ -125,6 +125,7 @@ def test_the_right_cause_gains_on_held_out_data(tone: tuple[Bench, UnitState]) -
     assert after < 0.6 * before
 
 
+@pytest.mark.slow
 def test_the_choice_of_a_moment_has_a_cost(tone: tuple[Bench, UnitState]) -> None:
     """For an effect that begins within the log the gain is the mean of both parts, minus four nats."""
     bench, standing = tone

@@ -115,6 +115,7 @@ def test_replicates_do_not_depend_on_the_cache(monkeypatch: pytest.MonkeyPatch) 
                 np.testing.assert_array_equal(summary.segments.fourth, other_phase.sensors[name].segments.fourth)
 
 
+@pytest.mark.slow
 def test_other_sensors_are_simulated_only_where_the_box_moves() -> None:
     """Those of a quantity are compared with a single sensor in motion only, as they are in a replicate of all."""
     bench, _ = prepared([("static", Still(seconds=5)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])

@@ -41,6 +41,7 @@ def test_keys_have_their_phase_axis_and_log(campaign: Campaign) -> None:
         found[Key(0, "A1", "z", "static", 0, "level", "noise")]
 
 
+@pytest.mark.slow
 def test_the_order_is_always_the_same(campaign: Campaign) -> None:
     again = Campaign((*campaign_of("static").logs, *campaign_of("motion", seed=9).logs, *campaign.logs[2:]))
     assert statistics(campaign).keys == statistics(again).keys

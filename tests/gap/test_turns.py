@@ -170,6 +170,7 @@ def turned_rate(motion: PoseSequence, number: int) -> Floats:
 REVERSED = np.diag([1.0, -1.0, 1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("others", some([1, 0], 1))
 def test_a_reversed_axis_of_a_gyroscope_is_corrected_in_the_motion(tmp_path: Path, others: int) -> None:
     """The turn about Y by 90 degrees in 2 s has 90 dps in its middle, although the only gyroscope, or one of two, reads

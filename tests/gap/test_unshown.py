@@ -24,6 +24,7 @@ from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.log.format import SensorHeader
 from tests.gap.small_campaign import campaign_of, header
+from tests.selection import some
 
 SENSORS = {
     "A1": header("A1"),
@@ -164,12 +165,15 @@ def test_an_effect_of_one_chip_concerns_no_other() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "faces", "runs", "has_turned", "rest_s"),
-    [
-        ("static", 1, 0, False, 60.0),
-        ("tumble", 6, 0, False, 70.0),
-        ("turn-on", 1, 8, False, 160.0),
-        ("motion", 1, 0, True, 10.0),
-    ],
+    some(
+        [
+            ("static", 1, 0, False, 60.0),
+            ("tumble", 6, 0, False, 70.0),
+            ("turn-on", 1, 8, False, 160.0),
+            ("motion", 1, 0, True, 10.0),
+        ],
+        2,
+    ),
 )
 def test_facts_of_each_kind_of_campaign(kind: str, faces: int, runs: int, has_turned: bool, rest_s: float) -> None:
     assert facts_of(campaign_of(kind)) == Facts(faces, 0.0, runs, has_turned, pytest.approx(rest_s))  # type: ignore[arg-type]

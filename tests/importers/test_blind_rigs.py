@@ -83,6 +83,7 @@ SAID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", some(SAID, 1))
 def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], list[str]], tmp_path: Path) -> None:
     source, map_path = tmp_path / "rig.csv", tmp_path / "map.toml"

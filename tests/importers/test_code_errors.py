@@ -12,6 +12,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from tests.importers.recordings import PER_DPS, PER_G, counts_of, walk
 from tests.importers.text_tables import lines, text
+from tests.selection import some
 
 MAP = f"""
 [time]
@@ -101,7 +102,7 @@ def test_clipped_codes_do_not_overflow(tmp_path: Path) -> None:
     assert not any("overflow" in text for text in report(codes, tmp_path).doubts)
 
 
-@pytest.mark.parametrize("late", [40, -40])
+@pytest.mark.parametrize("late", some([40, -40], 1))
 def test_a_gyroscope_that_comes_late_or_early(late: int, tmp_path: Path) -> None:
     codes = turning()
     codes[:, 3:] = np.roll(codes[:, 3:], late, axis=0)
@@ -126,6 +127,7 @@ def test_a_coarse_gyroscope_at_rest_has_not_stopped(tmp_path: Path) -> None:
     assert not any("interpolated" in text for text in result.quirks)
 
 
+@pytest.mark.slow
 def test_a_slow_magnetometer_that_repeats_is_not_clipped(tmp_path: Path) -> None:
     codes = still()
     angle = np.repeat(np.arange(ROWS // 20) * 0.07, 20)

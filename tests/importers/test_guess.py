@@ -149,6 +149,7 @@ def test_a_guessed_map_imports_unchanged(name: str, tmp_path: Path, capsys: pyte
         )
 
 
+@pytest.mark.slow
 def test_a_matrix_with_time_and_padding_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A matrix of a MATLAB script: a row for each reading, time first, and unused rows of zeros."""
     from scipy.io import savemat
@@ -165,6 +166,7 @@ def test_a_matrix_with_time_and_padding_is_imported(tmp_path: Path, capsys: pyte
     assert "2000 rows each over 20.0 s" in report and "300 rows of zeros only" in report
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", some(["cp1252", "utf-8", "utf-8-sig", "utf-16"], 1))
 def test_units_of_a_spreadsheet_in_any_encoding_are_read(encoding: str, tmp_path: Path) -> None:
     """Names in German, units with ° and ², decimal commas."""

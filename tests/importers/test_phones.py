@@ -108,7 +108,7 @@ def imported(folder: Path, source: Path, text: str) -> Log:
             (toolbox, ""),
             (android_events, "left out: rows of kind 'TYPE_ROTATION_VECTOR': an attitude"),
         ],
-        2,
+        1,
     ),
 )
 def test_only_measurements_are_proposed(write: Callable[[Path], Path], attitude: str, tmp_path: Path) -> None:

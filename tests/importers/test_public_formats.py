@@ -16,6 +16,7 @@ from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from tests.importers.recordings import G, walk
 from tests.importers.text_tables import lines, text
+from tests.selection import some
 
 ROWS = 1600
 WALK = walk(ROWS)
@@ -47,6 +48,7 @@ def test_the_names_of_the_usual_sketch_for_an_mpu6050(tmp_path: Path) -> None:
     assert "column 'Tmp' may be a chip's thermometer" in guessed
 
 
+@pytest.mark.slow
 def test_a_second_clock_of_a_table_without_names_is_no_axis(tmp_path: Path) -> None:
     codes = np.rint(np.hstack([FORCE * 16384, RATE * 131, MAGNET * 1090])).astype(int)
     content = text(*lines(" ".join(["{:6d}"] * 11), codes, MS + 2, MS + 3))
@@ -59,6 +61,7 @@ def test_a_second_clock_of_a_table_without_names_is_no_axis(tmp_path: Path) -> N
 PACKETS = "// Update Rate: 100.0Hz\nPacketCounter\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z\n"
 
 
+@pytest.mark.slow
 def test_a_counter_with_gaps_gives_the_times_at_the_stated_rate(tmp_path: Path) -> None:
     kept = np.arange(ROWS) % 50 != 7
     number = (np.arange(ROWS) + 65_000) % 65_536
@@ -68,6 +71,7 @@ def test_a_counter_with_gaps_gives_the_times_at_the_stated_rate(tmp_path: Path) 
     np.testing.assert_allclose(times_s["Acc"], T[kept], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_counter_that_other_packets_share_is_no_time(tmp_path: Path) -> None:
     number = np.cumsum(np.where(np.arange(ROWS) % 2, 1, 2))
     head = "Packet number,ax (g),ay (g),az (g),gx (deg/s),gy (deg/s),gz (deg/s)"
@@ -75,6 +79,7 @@ def test_a_counter_that_other_packets_share_is_no_time(tmp_path: Path) -> None:
     assert "column 'Packet number' numbers rows of other kinds, too, and says nothing about time" in guessed
 
 
+@pytest.mark.slow
 def test_a_time_that_counts_the_rows_is_doubted(tmp_path: Path) -> None:
     head = "Timestamp,ax_g,ay_g,az_g,gx_dps,gy_dps,gz_dps"
     guessed, _, _ = imported(tmp_path, "a.csv", text(head, *lines("{}" + SIX, np.arange(ROWS), FORCE, RATE)))
@@ -100,6 +105,7 @@ def test_the_exact_clock_is_preferred_to_rounded_dates(tmp_path: Path) -> None:
     np.testing.assert_allclose(times_s["Acc"], stamps - stamps[0], atol=2e-6)
 
 
+@pytest.mark.slow
 def test_names_in_quotes_within_a_comment(tmp_path: Path) -> None:
     head = '# Data format: "us,RawAccelX,RawAccelY,RawAccelZ,RawGyroX,RawGyroY,RawGyroZ"'
     _, values, times_s = imported(tmp_path, "a.txt", text(head, *lines("{}" + SIX, MS * 1000, FORCE, np.radians(RATE))))
@@ -116,6 +122,7 @@ def test_sentences_of_a_razor_board(tmp_path: Path) -> None:
     np.testing.assert_allclose(values["Acc"], FORCE, atol=0.01)
 
 
+@pytest.mark.slow
 def test_columns_named_after_the_axis_only_take_the_quantity_of_their_file(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
@@ -135,6 +142,7 @@ def test_columns_named_after_the_axis_only_take_the_quantity_of_their_file(tmp_p
     assert "would be 0.998 rows a second" not in guessed
 
 
+@pytest.mark.slow
 def test_the_step_of_a_gyroscope_at_rest_states_its_unit(tmp_path: Path) -> None:
     rest = walk(ROWS, still=True)
     codes = np.rint(rest.rate_dps * 65.6)
@@ -145,6 +153,7 @@ def test_the_step_of_a_gyroscope_at_rest_states_its_unit(tmp_path: Path) -> None
     np.testing.assert_allclose(values["Gyro"], codes / 65.6, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_clipped_range_of_250_dps_is_not_taken_for_500(tmp_path: Path) -> None:
     codes = np.clip(np.rint(RATE * 8 * 131), -32767, 32767)
     head = "t,Ax,Ay,Az,Gx,Gy,Gz"
@@ -153,6 +162,7 @@ def test_a_clipped_range_of_250_dps_is_not_taken_for_500(tmp_path: Path) -> None
         assert (log["Gyro"].range, log["Gyro"].sensitivity, log["Gyro"].count_bits) == (250.0, 131.0, 16)
 
 
+@pytest.mark.slow
 def test_steps_are_recognised_behind_three_digits(tmp_path: Path) -> None:
     rest = walk(ROWS, still=True)
     codes = np.rint(rest.rate_dps * 131)
@@ -163,7 +173,7 @@ def test_steps_are_recognised_behind_three_digits(tmp_path: Path) -> None:
         assert not any("codes" in sentence for sentence in report_of(log).quirks)
 
 
-@pytest.mark.parametrize("cell", ["IMU initialize", "0.010.02"])
+@pytest.mark.parametrize("cell", some(["IMU initialize", "0.010.02"], 1))
 def test_a_line_with_text_in_the_place_of_a_number_is_left_out(cell: str, tmp_path: Path) -> None:
     rows = lines("{:.2f}" + SIX, T, FORCE, RATE)
     rows[700] = f"7.00,0.01,{cell},0.99,1.0,2.0,3.0"
@@ -171,7 +181,7 @@ def test_a_line_with_text_in_the_place_of_a_number_is_left_out(cell: str, tmp_pa
     assert (len(values["Acc"]), len(values["Gyro"])) == (ROWS - 1, ROWS)
 
 
-@pytest.mark.parametrize(("per_gauss", "range_"), [(6842.0, 4.0), (1090.0, 1.3), (666.7, 48.0)])
+@pytest.mark.parametrize(("per_gauss", "range_"), some([(6842.0, 4.0), (1090.0, 1.3), (666.7, 48.0)], 1))
 def test_the_scale_of_a_magnetometer_follows_from_the_field(per_gauss: float, range_: float, tmp_path: Path) -> None:
     codes = np.rint(np.hstack([FORCE * 16384, MAGNET * per_gauss])).astype(int)
     guessed, _, _ = imported(tmp_path, "a.csv", text("ms,ax,ay,az,mx,my,mz", *lines("{}" + ",{}" * 6, MS, codes)))

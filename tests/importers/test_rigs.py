@@ -119,6 +119,7 @@ RIGS: dict[str, Callable[[Path], Path]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", some(RIGS, 1))
 def test_a_guessed_map_gives_the_true_values(rig: str, tmp_path: Path) -> None:
     with imported(tmp_path, RIGS[rig](tmp_path)) as log:
@@ -175,6 +176,7 @@ APART: dict[str, tuple[list[str], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", some(APART, 1))
 def test_files_that_do_not_follow_each_other_are_doubted(case: str, tmp_path: Path) -> None:
     second, message = APART[case]

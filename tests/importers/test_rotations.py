@@ -47,6 +47,7 @@ QUARTER = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 """x points along box -Y, y along box X."""
 
 
+@pytest.mark.slow
 def test_the_consistent_axes_are_named_and_right(tmp_path: Path) -> None:
     record(tmp_path / "wrong.h5", "+X+Y+Z", QUARTER)
     (text,) = doubts(tmp_path / "wrong.h5")

@@ -131,7 +131,7 @@ def test_a_table_compressed_by_gzip_is_imported(tmp_path: Path) -> None:
             ('[file]\ncomment = "%"\n', "% x\n0,1,2,3\n%1,4,5,7\n1,4,5,6\n"),
             ("", "0,1,2,3,9\n1,4,5,6,9\n"),
         ],
-        6,
+        3,
     ),
 )
 def test_layouts_of_the_same_table_give_the_same_log(tmp_path: Path, layout: str, table: str) -> None:
@@ -160,7 +160,7 @@ def test_a_rate_does_not_drift(tmp_path: Path) -> None:
     assert counts_and_times(tmp_path)[1][-1] == 100 * 10**9
 
 
-@pytest.mark.parametrize(("unit", "time_ns"), [("s", 10**9), ("ms", 10**6), ("us", 10**3), ("ns", 1)])
+@pytest.mark.parametrize(("unit", "time_ns"), some([("s", 10**9), ("ms", 10**6), ("us", 10**3), ("ns", 1)], 2))
 def test_units_of_time_are_converted(tmp_path: Path, unit: str, time_ns: int) -> None:
     write(tmp_path, "t,x,y,z\n-1,1,2,3\n2,1,2,3\n", NAMED.replace('"s"', f'"{unit}"'))
     assert counts_and_times(tmp_path)[1] == [-time_ns, 2 * time_ns]

@@ -52,6 +52,7 @@ def imported(folder: Path, more: str, sensor: str = "") -> Path:
     return folder / "run.h5"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "more", "kind"),
     some(

@@ -118,6 +118,7 @@ class TestXarray:
         pytest.importorskip("xarray")
         pytest.importorskip("h5netcdf")
 
+    @pytest.mark.slow
     def test_opens_in_physical_units_and_datetimes(self, small: Path) -> None:
         import xarray
 

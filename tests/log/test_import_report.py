@@ -68,13 +68,11 @@ def test_a_long_report_keeps_its_doubts(log: Path) -> None:
         assert 100 < len(reader.import_report.facts) < 2000
 
 
-@pytest.mark.parametrize("value", ["", "[1]", '{"doubts": 3}', '{"doubts": [3]}', "[" * 100_000, 7])
-def test_a_malformed_report_is_none(value: object, log: Path) -> None:
-    with h5py.File(log, "r+") as file:
-        if isinstance(value, str) and len(value) > 60_000:
+def test_a_malformed_report_is_none(log: Path) -> None:
+    for value in ("", "[1]", '{"doubts": 3}', '{"doubts": [3]}', 7, "[" * 60_000 + "]"):
+        with h5py.File(log, "r+") as file:
             del file.attrs[IMPORT_REPORT]
-            file.attrs.create(IMPORT_REPORT, value[:60_000] + "]", dtype=h5py.string_dtype())
-        else:
-            file.attrs[IMPORT_REPORT] = value
-    with open_log(log) as reader:
-        assert reader.import_report is None
+            kind = h5py.string_dtype() if isinstance(value, str) else None
+            file.attrs.create(IMPORT_REPORT, value, dtype=kind)
+        with open_log(log) as reader:
+            assert reader.import_report is None, str(value)[:20]

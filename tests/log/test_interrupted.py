@@ -107,6 +107,7 @@ def check(path: Path, rows: int = ROWS) -> None:
             assert log.phases == (Phase(0, 10, "static", ""),)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("commits", some([1, 2, 64, 65, 66, 129], 1))
 def test_a_log_being_written_is_read_from_its_file_after_any_number_of_commits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, commits: int
@@ -436,6 +437,7 @@ class TestVerify:
         assert len(streams.err.splitlines()) == 1
         assert name in streams.err or "damaged or malformed" in streams.err
 
+    @pytest.mark.slow
     def test_missing_chunks_and_decreasing_times_are_problems(self, finished: Path) -> None:
         with h5py.File(finished, "r+") as file:
             group = file["sensors/Acc"]

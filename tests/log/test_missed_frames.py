@@ -233,7 +233,7 @@ def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: P
     assert duration_s(113, 1887, 50.0) == 40.0
 
 
-@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("kept", some([False, True], 1))
 def test_the_frame_rate_is_an_attribute_of_the_log(tmp_path: Path, kept: bool) -> None:
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z", frame_rate_hz=12.5) as writer:
@@ -249,7 +249,7 @@ def test_the_frame_rate_is_an_attribute_of_the_log(tmp_path: Path, kept: bool) -
         assert (log.frame_rate_hz, frame_timing(log).missed) == (12.5, 0)
 
 
-@pytest.mark.parametrize("message", [None, "fast", -3.0, float("nan"), float("inf"), [50.0, 50.0], True])
+@pytest.mark.parametrize("message", some([None, "fast", -3.0, float("nan"), float("inf"), [50.0, 50.0], True], 2))
 def test_invalid_frame_rates_are_ignored(tmp_path: Path, message: object) -> None:
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z") as writer:

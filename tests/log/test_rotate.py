@@ -99,6 +99,7 @@ def test_an_error_keeps_a_kept_log_and_leaves_no_drafts(tmp_path: Path) -> None:
         assert len(log["A"]) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("is_kept", "fails"), [(False, False), (True, True)])
 def test_the_phases_of_the_last_part_are_written_when_the_recording_ends(
     tmp_path: Path, is_kept: bool, fails: bool

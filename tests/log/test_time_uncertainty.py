@@ -73,6 +73,7 @@ def test_characterise_reports_the_uncertainty(queue: Path) -> None:
     assert any(line.split()[-2:] == ["21.0", "-"] for line in table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", some(["npz", "csv", "parquet"], 1))
 def test_an_export_keeps_the_uncertainty(suffix: str, queue: Path, tmp_path: Path) -> None:
     assert main(["export", str(queue), "-o", str(tmp_path / f"q.{suffix}")]) == 0

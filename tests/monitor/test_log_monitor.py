@@ -135,6 +135,7 @@ def test_a_calibration_that_does_not_fit_is_reported(logger: Logger, log_path: P
     assert len(seen.sensors) == 4
 
 
+@pytest.mark.slow
 def test_missed_frames_and_missed_readings_are_counted_separately(logger: Logger, log_path: Path) -> None:
     logger.go_on(5.0)
     logger.now_s += 0.05  # five frames
@@ -201,6 +202,7 @@ def test_a_log_is_read_after_any_number_of_commits(
     assert (seen.state, seen.remark, seen.sensors[0].rows, seen.missed) == ("being written", "", 10 * commits, 0)
 
 
+@pytest.mark.slow
 def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path) -> None:
     logger.go_on(0.5)
     with LogMonitor(log_path) as watch:

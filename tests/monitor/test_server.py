@@ -30,7 +30,7 @@ def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> 
     url = f"{base}{part}" + (f"?{query}" if query else "")
     named = {name.replace("_", "-"): value for name, value in headers.items()}
     try:
-        answer = urllib.request.urlopen(urllib.request.Request(url, headers=named, method=method), timeout=20)  # noqa: S310
+        answer = urllib.request.urlopen(urllib.request.Request(url, headers=named, method=method), timeout=60)  # noqa: S310
     except urllib.error.HTTPError as error:
         answer = error
     with answer:
@@ -91,6 +91,16 @@ def test_tokens_are_long_and_distinct() -> None:
     assert all(re.fullmatch(r"[\w-]{32}", token) for token in tokens)
 
 
+def awaited_rows(address: str, rows: int) -> int:
+    """The rows of the first sensor, as soon as there are `rows` of them or after a minute."""
+    until_s = time.monotonic() + 60
+    while True:
+        shown: int = json.loads(asked(address, "snapshot.json").text)["sensors"][0]["rows"]
+        if shown >= rows or time.monotonic() > until_s:
+            return shown
+        time.sleep(0.05)
+
+
 @pytest.mark.slow
 def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     logger.go_on(3.0)
@@ -111,8 +121,7 @@ def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None
         figures = json.loads(asked(address, "figures.json").text)
         assert {"trace|x,y,z|g", "density|x,y,z|mg", "trace|pressure|hPa"} <= set(figures)
         logger.go_on(1.0)
-        time.sleep(0.3)
-        assert json.loads(asked(address, "snapshot.json").text)["sensors"][0]["rows"] == 400
+        assert awaited_rows(address, 400) == 400
         with pytest.raises(urllib.error.URLError, match="refused"):  # no other address, not even another local address
             asked(address.replace("127.0.0.1", "127.0.0.2"))
         assert asked(address, "snapshot.json", Host="evil.example").status == 403

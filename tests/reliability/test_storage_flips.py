@@ -253,6 +253,7 @@ def test_a_flip_in_the_first_6_kb_of_an_unfinished_log_loses_nothing(logs: Logs,
     assert flips(logs.unfinished, RUN, tmp_path, at, 6, [JOURNAL])["whole"] == len(at)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", some([0.1, 0.3, 0.5, 0.95], 1))
 def test_recover_combines_the_good_rows_of_two_damaged_files(logs: Logs, tmp_path: Path, share: float) -> None:
     """One block of one sensor is lost at the most, and only if both files are hit there."""

@@ -387,7 +387,7 @@ def test_a_gap_of_zero_is_drawn_on_a_linear_scale() -> None:
 
 
 @pytest.mark.parametrize("overlay", some(overlays(), 1))
-@pytest.mark.parametrize("points", [0, 1])
+@pytest.mark.parametrize("points", some([0, 1], 1))
 def test_curves_of_no_or_one_point_are_drawn(overlay: Overlay, points: int, tmp_path: Path) -> None:
     short = replace(
         overlay,

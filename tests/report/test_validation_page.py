@@ -71,6 +71,7 @@ def page(source: str) -> Page:
     return Page(source)
 
 
+@pytest.mark.slow
 def test_the_page_has_no_external_resource_and_every_tag_is_closed(source: str, page: Page) -> None:
     without_images = re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", source)
     assert "//" not in without_images and "url(" not in without_images and "<script" not in source

@@ -36,6 +36,7 @@ def test_the_command_has_every_experiment() -> None:
     assert tuple(EXPERIMENTS) == TYPED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", some(["static", "tumble", "heating", "motion"], 1))
 def test_every_experiment_has_the_requested_length(tmp_path: Path, experiment: str) -> None:
     run = tmp_path / "run.h5"

@@ -228,7 +228,7 @@ def test_an_effect_without_arguments_does_nothing(bench: Bench, name: str) -> No
     assert EFFECTS[name]().lookback(at) == 0
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", some([np.float32, np.float64], 1))
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_changes_only_its_columns(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
     before = bench.stages(0, ROWS, dtype)
@@ -236,7 +236,7 @@ def test_an_effect_changes_only_its_columns(bench: Bench, name: str, dtype: npt.
     assert set().union(*(differing(before, after) for after in boots)) == CHANGED[name]
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", some([np.float32, np.float64], 1))
 @pytest.mark.parametrize("name", EFFECTS)
 def test_shapes_and_types_are_kept(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
     before = bench.stages(0, ROWS, dtype)

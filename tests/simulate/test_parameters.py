@@ -44,12 +44,14 @@ class TestSpelled:
             "spans",
         ]
 
-    @pytest.mark.parametrize("name", EFFECTS)
     @pytest.mark.parametrize("unit", UNITS)
-    def test_each_parameter_has_one_key(self, name: str, unit: str) -> None:
-        result = spelled(EFFECTS[name], unit)
-        assert [item.name for item in result.values()] == [*(item.name for item in fields(EFFECTS[name])[1:]), "spans"]
-        assert not any("{" in key for key in result)
+    def test_each_parameter_has_one_key(self, unit: str) -> None:
+        for name, effect in EFFECTS.items():
+            result = spelled(effect, unit)
+            assert [item.name for item in result.values()] == [*(item.name for item in fields(effect)[1:]), "spans"], (
+                name
+            )
+            assert not any("{" in key for key in result), name
 
 
 class TestToTable:
@@ -68,10 +70,9 @@ class TestToTable:
     def test_a_table_contains_only_values_other_than_defaults(self, effect: Effect, table: dict[str, object]) -> None:
         assert to_table(effect, "g") == table
 
-    @pytest.mark.parametrize("name", EFFECTS)
-    def test_an_effect_with_defaults_is_an_empty_table(self, name: str) -> None:
+    def test_an_effect_with_defaults_is_an_empty_table(self) -> None:
         """Infinities and nan are defaults of some: no table of JSON could hold them."""
-        assert to_table(EFFECTS[name](), "g") == {}
+        assert [name for name, effect in EFFECTS.items() if to_table(effect(), "g")] == []
 
 
 class TestFromTable:

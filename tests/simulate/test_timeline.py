@@ -87,6 +87,7 @@ def test_the_times_of_a_recorded_sensor_are_used(recorded: Path) -> None:
         assert line.rows_per_s == pytest.approx(48.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_recorded_line_is_read_from_its_log_after_pickling(recorded: Path) -> None:
     with open_log(recorded) as log:
         line = LogTimes(log["Gyro1"])

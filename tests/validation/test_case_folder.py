@@ -179,6 +179,7 @@ def test_only_observable_effects_are_put_into_a_recording(tmp_path: Path) -> Non
     assert [(effect["effect"], effect["sensors"]) for effect in told["effects"]] == [("even_codes", ["G"])]
 
 
+@pytest.mark.slow
 def test_a_recording_gives_a_control_and_cases(tmp_path: Path) -> None:
     """Cases of the requested size; the control is the unchanged log, and the cases of a second recording follow."""
     path = written(tmp_path / "run.h5")

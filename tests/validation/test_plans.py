@@ -124,6 +124,7 @@ def test_a_short_run_has_every_mechanism_in_random_worlds() -> None:
             assert case.chips[case.extra["sensor"]] == case.extra["chip"]
 
 
+@pytest.mark.slow
 def test_a_run_is_restricted_to_effects_severities_and_repeats() -> None:
     """Three mechanisms resemble glitches, and one extra effect is glitches."""
     size = restrict(SIZES["bench"], ["glitches"], [20.0, 0.5], 3)

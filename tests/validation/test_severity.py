@@ -101,6 +101,7 @@ def test_a_cutoff_within_its_tolerance_is_not_an_effect(tmp_path: Path) -> None:
         assert matched_statistic([plain], [near]) < LIMIT < matched_statistic([plain], [far])
 
 
+@pytest.mark.slow
 def test_a_tilt_of_one_accelerometer_is_observable_with_noted_attitude(tmp_path: Path) -> None:
     """A tilt by 10 deg moves 0.17 g from z to x."""
     level, tilted = (

@@ -49,6 +49,7 @@ def test_every_world_is_possible(seed: int) -> None:
     assert draw_world(seed) == world
 
 
+@pytest.mark.slow
 def test_no_motion_clips_and_no_part_exceeds_its_data_sheet() -> None:
     """Gravity, shaking and turning stay within nine tenths of every range; effects of rooms are small."""
     for seed in range(200):

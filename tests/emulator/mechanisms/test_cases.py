@@ -166,6 +166,7 @@ def test_the_plan_of_the_paper_takes_nine_minutes_of_emulated_time():
     assert sum(entry.seconds * entry.logs for entry in EXPERIMENTS.values()) == pytest.approx(647.0)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_case_and_refuses_bad_arguments(tmp_path, capsys):
     where = ["-o", str(tmp_path / "logs"), "--truth", str(tmp_path / "truth.json")]
     small = ["--only", "BMA1,Gyro1", "--experiments", "static", "--rate-hz", "4"]

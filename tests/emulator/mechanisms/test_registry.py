@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError, astuple, fields
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -44,32 +44,23 @@ def both(at_ns):
     return shaken._replace(temperature_degc=HeatingWorld(scale=0.003)(at_ns).temperature_degc)
 
 
-@pytest.mark.parametrize("name", MECHANISMS)
-def test_a_mechanism_is_a_frozen_record_with_documented_physics(name):
-    kind = MECHANISMS[name]
-    mechanism = kind.at(1.0)
-    assert mechanism == kind()  # severity 1 is the size that the defaults state
-    assert len(kind.__doc__ or "") > 80
-    assert kind.__name__ == name.title().replace("_", "")
-    assert set(kind.resembles) <= EFFECTS
-    assert set(kind.touches) <= {"adxl345", "bma180", "l3g4200d", "icm42688_gyro"}
-    for field in fields(mechanism):
-        with pytest.raises(FrozenInstanceError):
-            setattr(mechanism, field.name, 0)
+def test_severity_1_is_the_size_of_the_defaults_and_relations_have_known_names():
+    for name, kind in MECHANISMS.items():
+        assert kind.at(1.0) == kind(), name
+        assert set(kind.resembles) <= EFFECTS, name
+        assert set(kind.touches) <= {"adxl345", "bma180", "l3g4200d", "icm42688_gyro"}, name
 
 
-@pytest.mark.parametrize("name", sorted(set(MECHANISMS) - set(EITHER_OR)))
-def test_parameters_change_monotonically_with_severity(name):
-    ladder = np.array(
-        [[value for value in astuple(MECHANISMS[name].at(step)) if np.isscalar(value)] for step in (0.5, 1, 2, 5, 20)],
-        dtype=float,
-    )
-    steps = np.diff(ladder, axis=0)
-    assert all((column >= 0).all() or (column <= 0).all() for column in steps.T)
-    assert steps.any(axis=0).any()
+def test_parameters_change_monotonically_with_severity():
+    for name in sorted(set(MECHANISMS) - set(EITHER_OR)):
+        rungs = [astuple(MECHANISMS[name].at(severity)) for severity in (0.5, 1, 2, 5, 20)]
+        ladder = np.array([[value for value in rung if np.isscalar(value)] for rung in rungs], dtype=float)
+        steps = np.diff(ladder, axis=0)
+        assert all((column >= 0).all() or (column <= 0).all() for column in steps.T), name
+        assert steps.any(axis=0).any(), name
 
 
-@pytest.mark.parametrize("name", some(ON_THE_ELEMENT, 3))
+@pytest.mark.parametrize("name", some(ON_THE_ELEMENT, 1))
 def test_the_error_grows_with_severity(name):
     kind = MECHANISMS[name]
     where = "Gyro" if "l3g4200d" in kind.touches else "BMA"

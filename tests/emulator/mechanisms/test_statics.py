@@ -173,6 +173,7 @@ def test_stress_is_drawn_at_power_on_and_kept():
     assert drawn.mean() == pytest.approx(0.2, rel=0.12)
 
 
+@pytest.mark.slow
 def test_the_bias_current_starts_in_one_of_two_states():
     runs = np.array([errors(BiasCurrentDac(step_dps=0.5, share=0.4), "Gyro", [S], run=run)[0] for run in range(300)])
     states = np.unique(np.round(runs, 9), axis=0)

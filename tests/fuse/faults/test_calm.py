@@ -44,7 +44,7 @@ COMPILED = importlib.util.find_spec("imuarray.fuse.faults._windows") is not None
 @pytest.mark.parametrize(
     "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 1)
 )
-@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("quantity", some(QUANTITIES, 1))
 def test_fast_and_full_paths_exclude_and_learn_the_same(
     quantity: str, case: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,6 +104,7 @@ def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
     return {name: getattr(normal, name) for name in ("state", "covariance", "colour", "change", "variance")}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not COMPILED, reason="installed without a C compiler")
 @pytest.mark.parametrize(
     ("kind", "sensors"),

@@ -32,6 +32,7 @@ def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> NormalModel
     return normal
 
 
+@pytest.mark.slow
 def test_errors_of_calibration_are_learnt_in_motion() -> None:
     """One of three triads: 0.3 m/s2 of bias on x, 3 % too much on y, z 4 ms late. Only differences between the three
     are observable: two thirds of each error for this triad, a third with the other sign for the others.

@@ -66,6 +66,7 @@ def test_a_deleted_residual_is_the_reading_minus_the_fit_of_the_others() -> None
         assert deleted[axis] == pytest.approx(values[axis] - rows[axis] @ solved)
 
 
+@pytest.mark.slow
 def test_without_a_fault_gains_are_chi_square() -> None:
     """Mean 1 and 3 of 4000 draws, within five standard errors (sqrt(2 k / 4000)): 6e-7 per figure."""
     rows, weights, _ = drawn(8, 4)

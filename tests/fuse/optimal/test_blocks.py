@@ -109,6 +109,7 @@ def test_a_log_may_be_smoothed_twice() -> None:
     assert np.nanmax(np.abs(results[0] - results[1])) == 0.0
 
 
+@pytest.mark.slow
 def test_a_smoother_closed_early_closes_its_files() -> None:
     axes, model = whole()
     frames, degc = readings(axes)

@@ -65,6 +65,7 @@ def test_exchanged_axes_are_suggested_from_all_motions_together() -> None:
     assert wrong in [hypothesis.effects[0] for hypothesis in CANDIDATES["axis_error"].guesses(blind)]
 
 
+@pytest.mark.slow
 def test_an_axis_within_the_population_has_no_suggested_error() -> None:
     (trial,) = CANDIDATES["scale"].guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
     (found,) = trial.effects
@@ -102,6 +103,7 @@ def test_a_level_change_at_rest_suggests_a_bias() -> None:
     assert not list(CANDIDATES["scale"].guesses(evidence))
 
 
+@pytest.mark.slow
 def test_a_scale_change_between_two_times_on_the_same_faces() -> None:
     """By 1 % along y, 100 s after the beginning of the tumble, before it is repeated."""
     evidence = evidence_of("tumble", "A1")
@@ -173,6 +175,7 @@ def test_an_axis_error_of_the_model_is_removed_or_replaced() -> None:
     assert second == Hypothesis((AxisError("+Y+X-Z"),), removed="axis_error")
 
 
+@pytest.mark.slow
 def test_removal_of_scale_and_misalignment_is_not_suggested() -> None:
     """Every unit has both."""
     evidence = evidence_of("tumble", "A1")

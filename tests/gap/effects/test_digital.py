@@ -263,13 +263,16 @@ def test_twice_the_noise_suggests_four_times_the_bandwidth() -> None:
 
 @pytest.mark.parametrize(
     ("name", "effect"),
-    [
-        ("stale_samples", StaleSamples(0.1)),
-        ("stuck", Stuck(30.0, 1.0)),
-        ("glitches", Glitches(0.01, 0.1)),
-        ("saturation", Saturation(1.0)),
-        ("odr_error", OdrError(50.0)),
-    ],
+    some(
+        [
+            ("stale_samples", StaleSamples(0.1)),
+            ("stuck", Stuck(30.0, 1.0)),
+            ("glitches", Glitches(0.01, 0.1)),
+            ("saturation", Saturation(1.0)),
+            ("odr_error", OdrError(50.0)),
+        ],
+        2,
+    ),
 )
 def test_an_effect_of_the_model_alone_is_removed(name: str, effect: Effect) -> None:
     evidence = evidence_of("static", "A1", modelled=(effect,))
@@ -324,7 +327,7 @@ def test_a_dead_bit_in_motion_is_suggested() -> None:
 
 @pytest.mark.parametrize(
     ("chip", "kind", "is_guessed"),
-    [("icm42688_gyro", "motion", True), ("icm42688_gyro", "static", False), ("l3g4200d", "motion", False)],
+    some([("icm42688_gyro", "motion", True), ("icm42688_gyro", "static", False), ("l3g4200d", "motion", False)], 1),
 )
 def test_readings_that_stall_at_a_range_change_are_suggested(chip: str, kind: str, is_guessed: bool) -> None:
     """The erratum of one chip (TDK-18): 1 to 2 ms near 100 dps. Other chips and rest have other causes."""

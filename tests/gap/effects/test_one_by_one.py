@@ -73,6 +73,7 @@ def _flagged(status: npt.ArrayLike, flag: int) -> npt.NDArray[np.bool_]:
     return np.asarray(np.asarray(status) & flag != 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_readings", some([False, True], 1))
 @pytest.mark.parametrize(("sensor", "kind"), some([("G1", "new"), ("G2", "stale")], 1))
 def test_held_rows_are_reproduced(made: Made, sensor: str, kind: str, has_readings: bool) -> None:

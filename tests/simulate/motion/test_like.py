@@ -60,6 +60,7 @@ def track(time: Times) -> Stimulus:
     return Stimulus(time, stimulus.force_box, stimulus.rate_box, 20.0 + time * 1e-9)
 
 
+@pytest.mark.slow
 def test_the_truth_is_interpolated_between_its_rows(tmp_path: Path) -> None:
     """Rows at 200 Hz, sines up to 6 Hz: cubic pieces with three-point slopes err by some w^3 h^3 / 50 of the amplitude,
     1e-4 of it; a straight line would err by w^2 h^2 / 8, 4e-3.

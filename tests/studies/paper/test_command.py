@@ -118,6 +118,7 @@ def test_without_matplotlib_tables_and_a_hint_are_written(
     assert "imuarray[report]" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_no_heavy_package_is_imported() -> None:
     imports = "import sys, imuarray.commands.paper; from imuarray.studies.paper import recompute"
     code = f"{imports}; recompute(); print(*sys.modules)"
