@@ -70,7 +70,7 @@ def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 @pytest.mark.parametrize(
     "arguments",
-    some([["--help"], ["-h"], ["completion", "-h"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]], 3),
+    some([["--help"], ["-h"], ["completion", "-h"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]], 1),
 )
 def test_help_imports_no_heavy_package(arguments: list[str]) -> None:
     program = (
@@ -143,6 +143,7 @@ def test_log_and_info_print_text(run: Run) -> None:
     assert "(+X up)" in out
 
 
+@pytest.mark.slow
 def test_a_note_states_that_there_is_no_hardware(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "one.toml", "--bus", "emulated:", "-o", "r.h5", "--seconds", "0.1"]) == 0
     assert capsys.readouterr().err == NOTE + "\n"
@@ -283,6 +284,7 @@ def test_bad_input_is_one_line_exit_code_2_and_leaves_no_file(
     assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before  # hidden .part files included
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "message"),
     some(
@@ -553,6 +555,7 @@ def test_a_closed_standard_output_is_an_error(
     assert capsys.readouterr().err == "imuarray: standard output is closed; nothing can be printed\n"
 
 
+@pytest.mark.slow
 def test_long_lines_of_info_are_broken_at_the_width_of_the_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     run("log", "one.toml", "--bus", "emulated:", "-o", "r.h5", "--seconds", "0.1")
     unbroken = run("info", "r.h5")[1]

@@ -184,6 +184,7 @@ def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seco
         assert is_end(last.message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("reset_s", "rate_hz"), [(20.0, 10.0), (19.4, 5.0), (19.6, 5.0)])
 def test_a_reset_and_a_kernel_driver_of_one_chip_are_both_reported(reset_s: float, rate_hz: float) -> None:
     """Both are reported, whichever is detected first, and both end when the chip is given back and set up again."""

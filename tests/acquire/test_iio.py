@@ -250,6 +250,7 @@ def test_without_fifo_the_attributes_are_read_in_each_frame(machine: KernelMachi
     assert device.read("buffer/enable") == "0"
 
 
+@pytest.mark.slow
 def test_counts_beyond_sixteen_bits_are_clipped_and_flagged_where_no_type_is_stated(machine: KernelMachine) -> None:
     keys = {name: text for name, text in ACCEL.items() if not name.startswith(("scan_elements", "buffer"))}
     device = machine.add("kx023", "i2c-1/1-001e", keys)

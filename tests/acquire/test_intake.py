@@ -113,6 +113,7 @@ def test_a_row_ahead_of_the_clock_does_not_block_later_rows() -> None:
     assert events[0].message == "1 reading refused: not later than the reading before, or ahead of the clock"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotate_s", some([None, 3.0], 1))
 def test_a_queue_that_counts_time_twice_does_not_end_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rotate_s: float | None

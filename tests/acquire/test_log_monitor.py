@@ -56,6 +56,7 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     return begun
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_log_that_is_recorded(log: Call, pages: list[list[str]]) -> None:
     code, _, _ = log("--monitor")
     assert code == 0

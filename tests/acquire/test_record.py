@@ -259,6 +259,7 @@ def test_a_named_phase_covers_the_log(board: MakeBoard) -> None:
         assert log["A"].time[-1] < phase.end_ns
 
 
+@pytest.mark.slow
 def test_late_frames_are_counted_and_not_skipped(board: MakeBoard) -> None:
     made = board("bit_rate=10000", A=0, B=0, G=0)  # 99 + 90 + 99 clocks at 10 kHz: 29 ms and more a frame
     done = made.record(seconds=1)
@@ -390,6 +391,7 @@ class TestNothingIsWritten:
         assert made.path.read_text() == "precious"
 
 
+@pytest.mark.slow
 def test_an_error_during_recording_keeps_the_rows_read_before(board: MakeBoard) -> None:
     made = board(A=0)
     asked = [0]

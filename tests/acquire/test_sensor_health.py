@@ -61,6 +61,7 @@ def test_an_unplugged_sensor_is_polled_at_increasing_intervals(board: Callable[.
         assert log.events[1].message.startswith(f"in all {done.lost['B']} readings lost in ")
 
 
+@pytest.mark.slow
 def test_a_sensor_that_was_only_silent_is_not_set_up_again(faulty_recording: Callable[..., Any]) -> None:
     table = '[[fault]]\nkind="no_acknowledge"\nsensor="B"\nat_s=3.0\nfor_s=0.8\n'
     done, log = faulty_recording(table, 6, A=0, B=0)

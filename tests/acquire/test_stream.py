@@ -432,6 +432,7 @@ class TestPlan:
         per_frame = [sum(frame % place.every == place.offset for place in places) for frame in range(places[0].every)]
         assert max(per_frame) - min(per_frame) <= 1
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("rate_hz", [5.0, 20.0, 48.0, 150.0, 400.0])
     def test_read_backs_are_spread_evenly_over_the_frames_of_a_sweep(self, rate_hz: float) -> None:
         """With more frames than registers they are equally far apart, with fewer they share frames in equal numbers."""

@@ -69,6 +69,7 @@ def test_tumble_prints_a_table(run: Path, tmp_path: Path, capsys: pytest.Capture
     assert f"wrote {tmp_path / 'cal.toml'}" in out
 
 
+@pytest.mark.slow
 def test_tumble_of_unnamed_poses(write_log: WriteLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ups = directions(14, np.random.default_rng(3))
     path = write_log(PARTS, ups, rows=400, moving_rows=50)

@@ -167,6 +167,7 @@ def filtered(rows: int, kept: float, seed: int = 9) -> Floats:
     return out
 
 
+@pytest.mark.slow
 def test_correlation_of_neighbours(tmp_path: Path) -> None:
     """White: 0 within four of 1 / sqrt(n); a filter of first order: its coefficient."""
     plain = calibrated(write(tmp_path / "white", white(10000), [STILL])).noise_correlation

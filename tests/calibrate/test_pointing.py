@@ -156,6 +156,7 @@ def test_two_poses_do_not_determine_a_gyroscope(written: Written) -> None:
     assert result["g1"].axes == "" and "as good as" in result["g1"].reason
 
 
+@pytest.mark.slow
 def test_an_unknown_pose_is_refused(written: Written) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"))) as log, pytest.raises(CalibrationError, match="allowed are"):
         upright_poses(log, ("+Z", "X", "+Y"))

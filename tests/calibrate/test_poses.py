@@ -278,6 +278,7 @@ def test_a_short_shake_ends_a_pose(tmp_path: Path) -> None:
         assert len(find_rests(log)) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["specific_force", "angular_rate", "both"])
 def test_the_slow_beginning_of_a_motion_is_not_rest(tmp_path: Path, quantity: str) -> None:
     """From 30 s on the box turns at 0.1 dps/s2 times the squared time: 0.9 dps after 3 s, when the angle is 0.9 degrees

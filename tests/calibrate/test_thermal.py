@@ -282,6 +282,7 @@ def with_thermometer(header: SensorHeader) -> SensorHeader:
     return SensorHeader(**{**vars(header), "has_temperature": True})
 
 
+@pytest.mark.slow
 def test_one_orientation_cannot_separate_bias_from_scale(write: Write) -> None:
     accelerometer_slopes, gyroscope_slopes = (0.2, -0.3, 0.5), (0.25, 0.1, -2.0)
     path = write([(accelerometer("A", "+Y+X-Z"), accelerometer_slopes), (gyroscope("G"), gyroscope_slopes)])
@@ -422,6 +423,7 @@ def test_segments_are_means_of_valid_rows(write: Write) -> None:
     assert segments.mean == pytest.approx(counts.reshape(12, 500, 3).mean(axis=1)[2:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     some(

@@ -379,6 +379,7 @@ def test_a_slight_tilt_is_not_a_fault() -> None:
     assert states_of({"G": at_rest((0.0, 15.0, 0.0))}, started(), {})["G"].fault
 
 
+@pytest.mark.slow
 def test_too_few_or_duplicate_runs_are_refused(write: Write) -> None:
     paths = write([(gyroscope("G"), np.zeros((4, 3)))])
     with pytest.raises(CalibrationError, match="sensor G: 2 sound runs, at least 3 are required"):

@@ -61,6 +61,7 @@ def of(path: Path) -> tuple[Alignment, dict[str, SensorAlignment]]:
     return result, {sensor.name: sensor for sensor in result.sensors}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", some([0.0, 2.7e-3, -4e-4, 1.5e-2], 2))
 def test_a_delay_is_estimated_within_its_error(tmp_path: Path, delay_s: float) -> None:
     """A gain error of -3 % and an axis that is misaligned by a degree do not bias the delay."""

@@ -40,6 +40,7 @@ def characterised(tmp_path: Path) -> Characterise:
 NOISE = ("white_noise", {"rms": 0.18})
 
 
+@pytest.mark.slow
 def test_a_sound_sensor_has_no_findings(characterised: Characterise) -> None:
     assert findings(characterised(NOISE)) == []
 

@@ -97,6 +97,7 @@ def test_stale_rows_are_excluded(result: dict[str, Any]) -> None:
     assert outcome["allan_run"]["left_out_share"] == 0
 
 
+@pytest.mark.slow
 def test_a_named_phase_and_sensors_are_selected(log_path: Path) -> None:
     calls: list[None] = []
     with open_log(log_path) as log:
@@ -156,6 +157,7 @@ def test_the_stretch_is_the_longest_phase_at_rest(
         assert (stretch.start_ns, stretch.end_ns) == (0, 100)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [1, 2, 7, 1 << 16])
 def test_runs_do_not_depend_on_blocks(tmp_path: Path, block: int) -> None:
     """Intervals 10, except 15 (no gap) after row 9, 16 after row 29 and 40 after row 69; row 50 is set up again."""

@@ -90,6 +90,7 @@ def test_the_json_file_states_the_unit_of_every_column(run: Path) -> None:
     assert head["column_units"]["sensors/Acc"] == dict(zip(names, ["s", *["m s-2"] * 3, "1", "degC"], strict=True))
 
 
+@pytest.mark.slow
 def test_a_file_of_an_earlier_version_is_imported(run: Path) -> None:
     """Version 1 had two lines of comment, of which the second held the header; the list's was that of the log."""
     export(run, run.with_name("r.csv"))

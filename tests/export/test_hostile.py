@@ -115,6 +115,7 @@ def _pickled() -> bytes:
     return file.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", some(BAD, 6))
 def test_a_bad_npz_is_refused_and_leaves_no_file(tmp_path: Path, members: Members, kind: str) -> None:
     spoil, message = BAD[kind]

@@ -65,6 +65,7 @@ def _size(value: Any) -> float:
     return len(value) if isinstance(value, list) else value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("units", some([None, "counts", "sensor"], 2))
 def test_every_message_keeps_its_schema(run: Path, units: str | None) -> None:
     export(run, run.with_name("r.mcap"), units=units)

@@ -58,6 +58,7 @@ def values_of(sensor: Sensor, world: World, *faults: Fault) -> np.ndarray:
     return convert(world, sensor, Part(KEY, sensor), KEY, 0, faults, 0).real / sensor.sensitivity
 
 
+@pytest.mark.slow
 def test_only_numpy_scipy_h5py_and_the_standard_library_are_imported() -> None:
     allowed = set(sys.stdlib_module_names) | {"numpy", "scipy", "h5py"}
     modules = [path for path in Path(__file__).parent.glob("*.py") if not path.name.startswith("test_")]

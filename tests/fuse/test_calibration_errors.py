@@ -57,6 +57,7 @@ def headers() -> list[SensorHeader]:
     return [part.header for part in PARTS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("technique", ["mean", "opposed", "planes", "ranges"])
 def test_the_covariance_is_the_propagated_one_of_the_calibration(technique: str) -> None:
     """Compared with the covariance propagated by numerical derivatives of the triad by every entry of every

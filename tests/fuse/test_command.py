@@ -50,7 +50,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return err
 
 
-@pytest.mark.parametrize("technique", some(["mean", "opposed", "planes", "ranges"], 2))
+@pytest.mark.parametrize("technique", some(["mean", "opposed", "planes", "ranges"], 1))
 def test_fuse_writes_a_file_and_reports_errors(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], technique: str
 ) -> None:
@@ -109,6 +109,7 @@ def test_optimal_reports_learnt_biases(write_run: WriteRun, tmp_path: Path, caps
     assert "mg (before: 0 +- 125)" in lines[heading]  # BMA180: 2.5 times the paper's 50 mg
 
 
+@pytest.mark.slow
 def test_techniques_report_remarks_on_sensors(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -155,6 +155,7 @@ def vibrating(seconds: Floats) -> Floats:
     return np.outer(shaken, [1.0, 1.0, 1.0])
 
 
+@pytest.mark.slow
 def test_even_order_errors_of_a_design_cancel(write_run: WriteRun) -> None:
     """Every axis reads k u^2 too much: vibration shifts each by k U^2 / 2 = 1 dps, the average of 1 + 2 by a third."""
     parts = gyros(lambda seconds: 2e-4 * vibrating(seconds) ** 2, sigma=0.05)

@@ -149,6 +149,7 @@ def test_a_negative_variance_is_printed_as_a_dash(tmp_path: Path) -> None:
     assert [row[-1] for row in section.parts[0].rows] == ["–"] * 3
 
 
+@pytest.mark.slow
 def test_the_page_lists_the_use_of_sensors_only_if_it_varies(tmp_path: Path) -> None:
     path = written(tmp_path / "f.h5")
     texts = []

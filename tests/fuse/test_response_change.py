@@ -119,6 +119,7 @@ def tumbled_rate(seconds: Floats) -> Floats:
     return np.outer(seconds % 6.0 > 4, [21.0, -28.0, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_gyroscope", [True, False])
 def test_lever_arms_of_accelerometers_are_not_a_change(with_gyroscope: bool, write_run: WriteRun) -> None:
     """While the box turns, one of them reads 5 % more; without a gyroscope the turns are unknown."""

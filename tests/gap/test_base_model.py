@@ -285,6 +285,7 @@ def test_seeds_of_replicates_are_unique() -> None:
     assert 2**63 <= min(seeds) <= max(seeds) < 2**64
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lag_1", "expected"), some([(0.333, 35.0), (0.24, 45.4), (0.8, 17.5)], 1))
 def test_a_configured_filter_is_fitted_where_it_is_observable(lag_1: float, expected: float) -> None:
     """35 Hz at 200 rows a second: exp(-2 pi 35 / 200) = 0.333; within half of 35 Hz."""

@@ -104,6 +104,7 @@ def test_a_line_is_named_and_closed(tone: Diagnosis) -> None:
     assert "G1 (y): tone" in tone.sentence
 
 
+@pytest.mark.slow
 def test_differences_name_the_axis_with_the_line(tone: Diagnosis) -> None:
     assert (tone.where[0].sensor, tone.where[0].axis, tone.where[0].domain) == ("G1", "y", "spectrum")
     assert {(one.sensor, one.axis) for one in tone.where} == {("G1", "y")}
@@ -112,6 +113,7 @@ def test_differences_name_the_axis_with_the_line(tone: Diagnosis) -> None:
     assert tone.held_out == "held out: the second half of every phase of 1 log"
 
 
+@pytest.mark.slow
 def test_all_evaluated_candidates_are_reported(tone: Diagnosis) -> None:
     accepted = [one for one in tone.judged if one.is_accepted]
     assert [one.effect for one in accepted] == ["tone"]
@@ -122,6 +124,7 @@ def test_all_evaluated_candidates_are_reported(tone: Diagnosis) -> None:
     assert recording.seconds == pytest.approx(20.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_written_as_json(tone: Diagnosis) -> None:
     """A number that is not finite is null."""
     read = json.loads(json.dumps(tone.as_json(), allow_nan=False))

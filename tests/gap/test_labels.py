@@ -215,6 +215,7 @@ def test_two_exchanged_sensors_are_not_wrong_labels(tmp_path: Path) -> None:
     assert len(found_in(tumbled(tmp_path / "labels.h5", here_and_there, sensors=2))) == len(here_and_there)
 
 
+@pytest.mark.slow
 def test_one_wrong_label_is_more_likely_than_three_rotated_sensors(tmp_path: Path) -> None:
     """One label: it and one sensor are wrong, or three sensors."""
     turned = {name: (AxisError("-X+Y-Z"),) for name in ("B1", "B2", "D1")}

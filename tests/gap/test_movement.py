@@ -180,6 +180,7 @@ def test_a_movement_of_too_many_windows_is_not_estimated(tmp_path: Path, monkeyp
     assert movement_of(log, TURN, [REST]) is None
 
 
+@pytest.mark.slow
 def test_a_still_axis_has_no_noise_in_the_movement(tmp_path: Path) -> None:
     """Two gyroscopes of 0.02 dps (two counts) in windows of one row: their mean has 0.014 dps, of which at most two
     thirds remain about the still axes.
@@ -434,6 +435,7 @@ def test_a_knock_in_a_turn_is_excluded(
         assert all(np.any(times == 7_100_000_000) for times in recording.experiment.uncertain_ns.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("other_range_g", "is_left_out"), [(16.0, True), (2.0, False)])
 def test_a_knock_that_only_the_quietest_accelerometer_can_measure_is_excluded(
     tmp_path: Path, other_range_g: float, *, is_left_out: bool
@@ -472,6 +474,7 @@ def test_a_weighted_median_of_unequal_sensors() -> None:
     assert movement.weighted_median(three, weights=np.array([2.0, 1.0, 1.0])).tolist() == [[2.5, 5.0, 8.0]]
 
 
+@pytest.mark.slow
 def test_a_quiet_gyroscope_determines_the_motion_beside_noisy_ones(tmp_path: Path) -> None:
     """Noise of two counts: four times the sensitivity means a quarter of the noise. Of three equal sensors the median
     has 0.45 of the variance of one; with a quiet one the estimated motion has less noise than that.

@@ -35,6 +35,7 @@ from tests.gap.small_campaign import PLANS, SECOND, campaign_of, phases_of, simu
 from tests.selection import some
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag_s", some([4.0, 12.0], 1))
 def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> None:
     base = fit(campaign_of("heating", {"G1": (ThermalLag(lag_s),)}, seed=3), PLANS["heating"])
@@ -131,6 +132,7 @@ def test_a_weak_line_of_all_accelerometers_is_of_the_room() -> None:
     assert amplitude_g == pytest.approx(4e-4, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_line_of_one_accelerometer_is_not_of_the_room() -> None:
     assert vibrating(4e-4, "A1") == ()
 

@@ -92,6 +92,7 @@ def test_a_motion_without_a_track_is_excluded(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_unread", some([False, True], 1))
 @pytest.mark.parametrize("turns_back", some([True, False], 1))
 @pytest.mark.parametrize(("by_reference", "rate_dps"), [(False, 45.0), (True, 2.0)])
@@ -169,6 +170,7 @@ def test_the_turns_between_rests_are_compared_where_a_track_shows_them(tmp_path:
     assert "Mag" in summary.phases[0].sensors
 
 
+@pytest.mark.slow
 def test_rests_are_detected_and_their_attitudes_estimated(tmp_path: Path) -> None:
     """Ten poses; the directions do not include the array's common bias: 1.5e-3 is 0.1 degree."""
     ups = directions(10)
@@ -441,6 +443,7 @@ def test_a_heating_is_recognised_with_any_name_of_its_phase(tmp_path: Path, warm
     assert recorded(path).kind == kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("faces", [["+Z"], ["+Z", "-Z"]])
 def test_a_magnetometer_heated_on_two_faces_is_excluded(tmp_path: Path, faces: list[str]) -> None:
     """Its scale follows the temperature, and the resulting bias differs between the faces."""

@@ -139,6 +139,7 @@ def test_an_effect_hidden_by_noise_in_one_unit_may_be_common(is_there: bool) -> 
     assert units == ([("G1", "G2")] if is_there else [])
 
 
+@pytest.mark.slow
 def test_nothing_is_accepted_without_candidates() -> None:
     """One round, in which nothing is accepted; models are those of the base."""
     found = found_in(LINE)

@@ -136,6 +136,7 @@ def test_the_choice_of_a_moment_has_a_cost(tone: tuple[Bench, UnitState]) -> Non
     assert brief.train_gain == pytest.approx(plain.train_gain)
 
 
+@pytest.mark.slow
 def test_no_change_has_no_gain(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     found = confirm(bench, standing, FittedHypothesis(Hypothesis(()), standing.models))
@@ -414,6 +415,7 @@ def test_the_weight_of_independent_statistics_selects_but_does_not_rank() -> Non
     assert likeliest(counted, 4) == counted[::-1]
 
 
+@pytest.mark.slow
 def test_a_round_on_simulations(tone: tuple[Bench, UnitState]) -> None:
     """A true line, suggested at half its size, and a wrong noise."""
     bench, standing = tone

@@ -127,6 +127,7 @@ def figures(kind: str, more: dict[str, tuple[object, ...]]) -> Uses:
     return uses_of(made, residual(made, PLANS[kind], fit(made, PLANS[kind])))
 
 
+@pytest.mark.slow
 def test_the_error_on_faces_includes_a_scale_error() -> None:
     """2 % beyond the tolerance of 2 % (BMA-73) and 0.3 % of gravity: 20 mg up or down on one axis of each face, a third
     of the axes: 20 mg / sqrt(3).

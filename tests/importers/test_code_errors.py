@@ -112,6 +112,7 @@ def test_a_gyroscope_that_comes_late_or_early(late: int, tmp_path: Path) -> None
     assert ("later" if late > 0 else "earlier") in doubt
 
 
+@pytest.mark.slow
 def test_an_acceleration_without_gravity_in_motion(tmp_path: Path) -> None:
     codes = turning()
     noise = np.random.default_rng(5).normal(0, 1, (ROWS + 4, 3))

@@ -258,6 +258,7 @@ def test_a_guess_does_not_overwrite_a_file(tmp_path: Path, capsys: pytest.Captur
     assert main(["import", str(tmp_path / "data.csv"), "--guess", "--up", "+Z"]) == 2
 
 
+@pytest.mark.slow
 def test_units_are_distinguished_by_the_last_part_of_a_name(tmp_path: Path) -> None:
     """Counts of two units, gyroscopes with a bias: gravity is not searched for in them."""
     columns = [f"imu{unit}_{letter}{axis}" for unit in (0, 1) for letter in "agm" for axis in "xyz"]

@@ -216,6 +216,7 @@ def test_the_middle_of_an_unsigned_converter_is_proposed_as_offset(middle: int, 
         assert report_of(log).doubts == ()
 
 
+@pytest.mark.slow
 def test_codes_with_an_undeclared_offset_are_doubted(tmp_path: Path) -> None:
     codes = np.rint(512 + WALK.force_g * 100).astype(int)
     source = written(tmp_path, joined(["t,ax,ay,az", *lines_of(WALK.time_s, codes, "{:d}")]))

@@ -54,6 +54,7 @@ def kinds(log: Log) -> list[str]:
     return [event.kind for event in log.events]
 
 
+@pytest.mark.slow
 def test_packets_are_recognised_by_the_guess(tmp_path: Path, out: Path) -> None:
     """`--guess` proposes the format, and the proposal imports it."""
     recording = source(tmp_path, b"\xa0\x28\x00\xc8" + run(range(20)))

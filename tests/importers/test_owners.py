@@ -286,6 +286,7 @@ def test_a_damaged_zip_file_is_refused(tmp_path: Path) -> None:
         guess_map(tmp_path / "phone.zip")
 
 
+@pytest.mark.slow
 def test_garbage_like_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     """A serial port gives random bytes while a board starts, FF FE among them."""
     (tmp_path / "data.csv").write_bytes(b"\xff\xfe\x80boot\n" + table(f"t,{AXES}", PLAIN, T, FORCE, RATE).encode())

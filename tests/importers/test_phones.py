@@ -140,6 +140,7 @@ def test_the_attitude_restores_gravity_on_request(tmp_path: Path) -> None:
     assert force == pytest.approx(LINEAR / G + UP, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rows_without_an_attitude_are_omitted(tmp_path: Path) -> None:
     """Zeros, which an app writes until its attitude is known."""
     turned = QUATERNION.copy()

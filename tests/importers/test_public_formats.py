@@ -39,6 +39,7 @@ def imported(folder: Path, name: str, content: str) -> tuple[str, dict[str, np.n
     return " ".join(guessed.replace("\n#   ", " ").split()), values, times_s
 
 
+@pytest.mark.slow
 def test_the_names_of_the_usual_sketch_for_an_mpu6050(tmp_path: Path) -> None:
     codes = np.rint(np.hstack([FORCE * 16384, np.full((ROWS, 1), -2500), RATE * 131])).astype(int)
     head = "millis,AcX,AcY,AcZ,Tmp,GyX,GyY,GyZ"
@@ -173,6 +174,7 @@ def test_steps_are_recognised_behind_three_digits(tmp_path: Path) -> None:
         assert not any("codes" in sentence for sentence in report_of(log).quirks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cell", some(["IMU initialize", "0.010.02"], 1))
 def test_a_line_with_text_in_the_place_of_a_number_is_left_out(cell: str, tmp_path: Path) -> None:
     rows = lines("{:.2f}" + SIX, T, FORCE, RATE)
@@ -181,6 +183,7 @@ def test_a_line_with_text_in_the_place_of_a_number_is_left_out(cell: str, tmp_pa
     assert (len(values["Acc"]), len(values["Gyro"])) == (ROWS - 1, ROWS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("per_gauss", "range_"), some([(6842.0, 4.0), (1090.0, 1.3), (666.7, 48.0)], 1))
 def test_the_scale_of_a_magnetometer_follows_from_the_field(per_gauss: float, range_: float, tmp_path: Path) -> None:
     codes = np.rint(np.hstack([FORCE * 16384, MAGNET * per_gauss])).astype(int)

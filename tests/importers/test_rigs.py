@@ -199,6 +199,7 @@ def test_readings_in_seconds_are_not_times_of_day(tmp_path: Path) -> None:
     assert 'unit = "s"' in guess_map(source)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(["Zimmer [°C]", "room_degC", "T1 (K)"], 1))
 def test_a_unit_of_temperature_indicates_a_thermometer(name: str, tmp_path: Path) -> None:
     rows = [f"{line},23.45" if "K" not in name else f"{line},296.6" for line in lines_of(T, SI, "{:.6f}")]

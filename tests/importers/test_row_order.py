@@ -111,6 +111,7 @@ def test_any_order_within_the_buffer_is_sorted(times: list[int], rows: int) -> N
     assert order.late == sum(time < max(times[:at], default=0) for at, time in enumerate(times))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlap", some([2, 300, 4096], 1))
 def test_rows_of_an_overlap_are_kept_once(tmp_path: Path, overlap: int) -> None:
     rows = np.r_[0:6000, 6000 - overlap : 8000]

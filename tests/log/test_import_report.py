@@ -60,6 +60,7 @@ def test_the_attribute_is_json_that_other_programs_read(log: Path) -> None:
     assert stored["doubts"][0].endswith("the columns may be in m/s2, not g")
 
 
+@pytest.mark.slow
 def test_a_long_report_keeps_its_doubts(log: Path) -> None:
     store_import_report(log, ImportReport(facts=("x" * 100,) * 2000, doubts=("the doubt",)))
     with open_log(log) as reader:

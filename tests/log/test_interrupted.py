@@ -232,6 +232,7 @@ def test_an_invalid_journal_alone_is_refused(run: Path, capsys: pytest.CaptureFi
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_recovered_log_has_an_event_of_its_recovery(run: Path) -> None:
     recover(run, now=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC))
     with open_log(run) as log:
@@ -421,6 +422,7 @@ class TestVerify:
         assert main(["info", str(run)]) == 0
         assert "interrupted: all acknowledged rows are shown" in capsys.readouterr().out
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("column", some(["sensors/Acc/counts", "sensors/Acc/time", "sensors/Baro/pressure"], 1))
     def test_a_damaged_chunk_is_a_problem(
         self, finished: Path, column: str, capsys: pytest.CaptureFixture[str]

@@ -108,6 +108,7 @@ def check(log: object) -> None:
     assert log.reference is None  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_rows_and_events_before_keep_are_in_the_log(tmp_path: Path, writer: Writer) -> None:
     with writer(tmp_path / "run.h5") as log:
         log.append("Gyro", gyro(0, 10))
@@ -354,6 +355,7 @@ def test_a_journal_removed_during_recording_loses_no_rows(tmp_path: Path, writer
     assert journal_of(path).exists() == (loss == "replaced")  # another file is kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", some(["removed", "emptied", "overwritten", "finished by another process"], 1))
 def test_a_file_removed_during_recording_loses_no_rows(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, loss: str

@@ -34,6 +34,7 @@ def rotating(path: Path, every_s: float = 1.0, *, force: bool = False) -> Rotati
     return RotatingWriter(path, HEADERS, every_s=every_s, source="i2c", epoch="2026-01-01T00:00:00Z", force=force)
 
 
+@pytest.mark.slow
 def test_each_part_has_its_rows_phases_and_truth(tmp_path: Path) -> None:
     with rotating(tmp_path / "run.h5") as log:
         log.keep()

@@ -34,6 +34,7 @@ def sensor(snapshot: Snapshot, name: str) -> SensorView:
     return next(view for view in snapshot.sensors if view.name == name)
 
 
+@pytest.mark.slow
 def test_the_monitor_waits_for_a_log_that_does_not_exist_yet(log_path: Path) -> None:
     with LogMonitor(log_path) as watch:
         first = watch.refresh(0.0)
@@ -45,6 +46,7 @@ def test_the_monitor_waits_for_a_log_that_does_not_exist_yet(log_path: Path) -> 
             assert watch.refresh(1.0).state == "being written"
 
 
+@pytest.mark.slow
 def test_sensors_are_shown_in_their_units_while_they_are_written(logger: Logger, log_path: Path) -> None:
     logger.go_on(4.0)
     with LogMonitor(log_path) as watch:

@@ -128,6 +128,7 @@ def test_a_gap_diagnosis_is_shown_with_escaped_names(made: Path, tmp_path: Path)
         write_report([folder], page, force=True)
 
 
+@pytest.mark.slow
 def test_a_folder_is_replaced_by_its_files(made: Path, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for name in ("cal.toml", "fused.h5"):

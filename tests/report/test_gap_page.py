@@ -247,6 +247,7 @@ def test_without_matplotlib_the_page_has_only_tables(bare: Page) -> None:
     assert len(bare.rows["Where the gap is"]) == 1 + len(SENSORS)
 
 
+@pytest.mark.slow
 def test_a_page_without_a_gap_states_it(tmp_path: Path) -> None:
     page = page_of(made_without_gap(), tmp_path)
     assert "No gap: no statistic differs beyond chance. Chance alone: p = 0.41." in page.words[""]
@@ -386,6 +387,7 @@ def test_a_gap_of_zero_is_drawn_on_a_linear_scale() -> None:
     assert shrink_figure(Gap(3.0, 0.0, 0.0, 1.0, None, {})).axes[0].get_xscale() == "linear"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlay", some(overlays(), 1))
 @pytest.mark.parametrize("points", some([0, 1], 1))
 def test_curves_of_no_or_one_point_are_drawn(overlay: Overlay, points: int, tmp_path: Path) -> None:

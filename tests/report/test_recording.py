@@ -61,6 +61,7 @@ def recording(path: Path, known: Calibration | None = None) -> RecordingFigure:
     return shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [4000, 60])
 def test_out_of_bounds_stretches_are_marked(run: Path, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     monkeypatch.setattr(recording_module, "_MOST_OF_ONE", most)

@@ -79,6 +79,7 @@ def test_the_page_has_no_external_resource_and_every_tag_is_closed(source: str, 
     assert list(page.rows) == ORDER
 
 
+@pytest.mark.slow
 def test_every_figure_has_its_bar_and_its_mark(figures: Figures, page: Page) -> None:
     """2 of 40 are 5 %; right first are 9 of 11, 9 of 10 at 5x: below 0.97, but not surely."""
     rows = {row[0]: row[1:] for row in page.rows["Figures and their bars"][: len(figures.rows) + 1]}
@@ -95,6 +96,7 @@ def test_every_figure_has_its_bar_and_its_mark(figures: Figures, page: Page) -> 
     assert page.marked == ["FAIL"] * len(figures.failed)
 
 
+@pytest.mark.slow
 def test_figures_that_miss_a_bar_are_listed_with_their_cells(figures: Figures, page: Page) -> None:
     rows = page.rows["Where a bar is missed"][1:]
     assert [row[0] for row in rows if row[1] == "all"] == [row.name for row in figures.failed]
@@ -105,6 +107,7 @@ def test_figures_that_miss_a_bar_are_listed_with_their_cells(figures: Figures, p
     )
 
 
+@pytest.mark.slow
 def test_the_sections_have_their_numbers(page: Page) -> None:
     assert page.rows["False alarms"][1] == ["full", "0.050", "0.014 to 0.165", "40", "0.035 to 0.065"]
     detection = page.rows["Detection"]
@@ -116,6 +119,7 @@ def test_the_sections_have_their_numbers(page: Page) -> None:
     assert page.rows["Closure"][1][:2] == ["closure near the oracle's", "0.900"]
 
 
+@pytest.mark.slow
 def test_settings_of_the_run_are_listed(page: Page) -> None:
     rows = {row[0]: row[1] for row in page.rows["Settings of the run"][1:]}
     assert rows["command"] == COMMAND
@@ -123,6 +127,7 @@ def test_settings_of_the_run_are_listed(page: Page) -> None:
     assert (rows["cases"], rows["lost"]) == ("53", "1")
 
 
+@pytest.mark.slow
 def test_plots_have_descriptions(page: Page) -> None:
     assert len(page.alternatives) == 5
     assert "full 5 %" in page.alternatives[0]
@@ -170,6 +175,7 @@ def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
     assert "No threshold was fixed" in markdown(score, "2026-01-31")
 
 
+@pytest.mark.slow
 def test_markdown_has_every_figure_and_the_failures(figures: Figures) -> None:
     lines = markdown(figures, "2026-01-31", COMMAND).splitlines()
     assert lines[0] == "## Results of 2026-01-31, sealed half"

@@ -152,6 +152,7 @@ def test_another_experiment_is_simulated_for_the_array_of_a_log(
     assert "it has no configuration, which another experiment needs; omit --experiment" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_trajectory_is_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "lift.csv"
     rows = [f"{t / 10},0,0,{0.5 * (t / 10) ** 2},0,0,0" for t in range(101)]  # 1 m/s2 upwards

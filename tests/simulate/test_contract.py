@@ -308,7 +308,7 @@ def test_any_block_alone_equals_that_of_the_whole(bench: Bench, name: str) -> No
             assert np.all(close), column
 
 
-@pytest.mark.parametrize("name", some([None, *EFFECTS], 5))
+@pytest.mark.parametrize("name", some([None, *EFFECTS], 2))
 def test_rows_computed_alone_equal_those_of_their_chunk(name: str | None) -> None:
     """Of a box that is heated and turned, bit for bit, whether or not the effect lets them be worked out alone."""
     array = parse_array(

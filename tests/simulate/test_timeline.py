@@ -251,6 +251,7 @@ def test_a_late_row_is_not_a_lost_row(tmp_path: Path) -> None:
         assert isinstance(filled(log["A"]), LogTimes)
 
 
+@pytest.mark.slow
 def test_other_gaps_are_no_losses_of_a_regular_record(tmp_path: Path) -> None:
     """Evenly spaced gaps, gaps that do not fit the period, long ones, and any gap among irregular times."""
     rng = np.random.default_rng(1)

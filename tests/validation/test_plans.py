@@ -142,6 +142,7 @@ def test_a_run_is_restricted_to_effects_severities_and_repeats() -> None:
     assert all("glitches" in names for case in planned for names in case.resembles)
 
 
+@pytest.mark.slow
 def test_an_effect_replaces_the_mechanisms_of_a_size() -> None:
     size = restrict(SIZES["glance"], ["bistable_bias"], repeats=2)
     assert [case.puts[0].mechanism for case in cases("development", size)] == ["bias_current_dac"] * 2

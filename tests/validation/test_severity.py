@@ -203,6 +203,7 @@ def test_another_draw_of_noise_is_not_an_effect(tmp_path: Path) -> None:
         assert max(matched_statistic([plain], [other]) for other in others) < LIMIT
 
 
+@pytest.mark.slow
 def test_a_line_is_detected_in_the_spectrum(tmp_path: Path) -> None:
     """With an amplitude of sigma, half the noise's power in a bin or three of thirty-two, of some hundred windows."""
     line = SIGMA * np.sin(2 * np.pi * 0.31 * np.arange(ROWS))

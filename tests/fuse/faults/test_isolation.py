@@ -138,7 +138,11 @@ WITH_RANGES = EVERY[2:]
 
 
 @pytest.mark.parametrize("sensor", some(EVERY, 1))
-@pytest.mark.parametrize("fault", some([STUCK, WHOLE, ONE[0], ONE[2]], 2), ids=lambda fault: fault.name)
+@pytest.mark.parametrize(
+    "fault",
+    [STUCK, ONE[2], *(pytest.param(fault, marks=pytest.mark.slow) for fault in (WHOLE, ONE[0]))],
+    ids=lambda fault: fault.name,
+)
 def test_a_fault_at_rest_is_isolated(sensor: str, fault: Fault) -> None:
     check(AT_REST, sensor, fault, onset_s=0.01 * EVERY.index(sensor))
 

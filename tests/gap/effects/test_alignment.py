@@ -166,6 +166,7 @@ def test_an_axis_error_is_suggested(kind: str, sensor: str, axes: str) -> None:
     assert trials[0] == Hypothesis((AxisError(axes),))
 
 
+@pytest.mark.slow
 def test_an_axis_error_of_the_model_is_removed_or_replaced() -> None:
     """Removed, or replaced by an orientation that fits better."""
     swapped = AxisError("-X-Y+Z")

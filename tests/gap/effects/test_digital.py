@@ -293,6 +293,7 @@ def test_a_dead_bit_is_suggested(bit: int) -> None:
     assert np.median(np.subtract(behind.fitted.offset, evidence.fitted.offset)) == pytest.approx(half, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("carry", "missing"), some([(16, 7), (16, 4), (8, 3), (32, 10)], 2))
 def test_codes_missing_before_every_carry_are_suggested(carry: int, missing: int) -> None:
     trials = list(CANDIDATES["quantisation"].guesses(shown("static", "A1", _missing(carry, missing))))

@@ -103,6 +103,7 @@ def test_a_repetition_of_the_first_row_is_reproduced() -> None:
     assert _with_first_reading(repetition) == pytest.approx(Span(0, 0.0, 0.035))
 
 
+@pytest.mark.slow
 def test_lost_rows_are_reproduced(made: Made) -> None:
     """All rows missing between the first and the last received row, and no others."""
     (trial,) = [trial for trial in CANDIDATES["dropped_samples"].guesses(shown(made, "A2")) if trial.whole]
@@ -115,6 +116,7 @@ def test_lost_rows_are_reproduced(made: Made) -> None:
     assert len(block.time) < simulated.rows
 
 
+@pytest.mark.slow
 def test_torn_readings_in_motion_are_reproduced(made: Made) -> None:
     """By two units of the high byte of a BMA180 (BMA-60), which a comparison of neighbours cannot detect in the
     shaking.

@@ -149,6 +149,7 @@ def test_a_nonlinearity_is_suggested_from_motion(sensor: str, put_in: Nonlineari
     assert np.mean(first.quadratic) == pytest.approx(np.mean(put_in.quadratic), rel=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["G1", "G2"])
 def test_a_cubic_nonlinearity_is_suggested(sensor: str) -> None:
     """A cubic response on y alone: 1 dps at 80 dps. G2 has the opposite orientation. The windows average the motion

@@ -184,6 +184,7 @@ def test_stalls_of_the_recorder_are_not_lost_rows() -> None:
     assert effect.burst_rows == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "effect", "kind"),
     some(

@@ -99,6 +99,7 @@ def test_an_existing_file_is_overwritten_only_with_force(tmp_path: Path, capsys:
     assert taken.read_text().startswith("run,x_lsb")
 
 
+@pytest.mark.slow
 def test_an_unwritable_folder_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
     assert main(["paper", "-o", str(tmp_path / "file" / "below")]) == 2
