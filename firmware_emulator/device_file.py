@@ -202,7 +202,6 @@ class OpenFile:
         return 0
 
     def _transfer(self, argument: int) -> int:
-        """Carry out I2C_RDWR; return the number of messages that were sent."""
         request = TransferStruct.from_address(pointer(argument))
         count = int(request.nmsgs)
         if not request.msgs or not 0 < count <= MAX_MESSAGES:

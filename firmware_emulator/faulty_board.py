@@ -109,7 +109,6 @@ class FaultyWires:
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
 
     def _plug_in(self, wire: Wire, since_ns: int) -> None:
-        """Power up all chips again at this time."""
         for chip in self.chips:
             chip.power_on(self._powered_on_ns + since_ns)
         if self.mux is not None:

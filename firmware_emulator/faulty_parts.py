@@ -131,7 +131,6 @@ class FaultyDevice(TargetProxy):
         return sent
 
     def _catch_up(self, fault: ChipFault, since_ns: int) -> None:
-        """Apply the faults that began or ended since the last transaction."""
         plugged_in = fault.action == "unplugged"
         number = fault.times.ended(since_ns) if plugged_in else fault.times.begun(since_ns)
         if number <= fault.done or fault.action not in ("unplugged", "reset", "torn"):

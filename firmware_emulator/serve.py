@@ -276,7 +276,6 @@ class UsbipServer:
             self._drop(client, reason or (f"detached {now.busid}" if now else ""))
 
     def _drop(self, client: Client, reason: str) -> None:
-        """Close the connection, and log the reason if there is one."""
         self._selector.unregister(client.connection)
         self._clients.remove(client)
         client.conversation.close()

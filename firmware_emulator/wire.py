@@ -197,7 +197,6 @@ class Wire:
         self.scl_clocks += 9
 
     def _interfere(self, address: int) -> None:
-        """Carry out faults of the wires before a transaction begins."""
         if self.interference is not None and not self._open:
             self.interference(self, self._responders.get(address, ()))
 

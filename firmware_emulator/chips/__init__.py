@@ -33,7 +33,6 @@ HALVES: dict[str, Half] = {
 
 
 def _chip_of(die: Die, half: Half) -> Callable[..., Chip]:
-    """Return the function that builds a die from the element of one half."""
 
     def build(address: int, element: Element, powered_on_ns: int = 0, **switches: Any) -> Chip:
         return die.build(address, {half.name: element}, powered_on_ns, **switches)

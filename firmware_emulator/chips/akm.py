@@ -68,7 +68,6 @@ class AkmChip(Chip):
         return int(self.table.MODE.of(self.page[self.control]))
 
     def _input(self, at_ns: int, full_scale: float) -> Triple:
-        """Return the field in gauss that is measured."""
         gauss = self.element.sample(at_ns, full_scale, 50.0)
         is_own = self._mode == SELF_TEST and self.table.SELF_TEST.of(self.page[self.table.ASTC.address])
         return self.own_field if is_own else gauss

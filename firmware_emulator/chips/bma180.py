@@ -385,7 +385,6 @@ class Bma180Chip(Chip):
     # What happens by itself -----------------------------------------------------------------------------------------
 
     def _catch_up(self, at_ns: int) -> None:
-        """Carry out everything that was due by `at_ns`, in order of time."""
         while self._next_ns <= at_ns:
             due = self._next_ns
             if due == self._download_end_ns:
@@ -401,7 +400,6 @@ class Bma180Chip(Chip):
             self._act(due)
 
     def _act(self, at_ns: int) -> None:
-        """Apply changed registers."""
         self._next_ns = min(self._download_end_ns, self._self_test_end_ns, self._burn_end_ns)
         self._converter.apply(at_ns, settings_of(self.page), self._ready_ns)
         if facts.DIS_I2C.of(self.page[facts.HIGH_DUR.address]):

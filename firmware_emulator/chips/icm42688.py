@@ -236,7 +236,6 @@ class Icm42688Chip(SixAxis):
             self._part = b""
 
     def _sample(self, at_ns: int) -> None:
-        """Write the latest sample of each half into the data registers."""
         for name, half in self._halves.items():
             sampled_ns = half.grid.take(at_ns)
             if sampled_ns is None:

@@ -164,7 +164,6 @@ class Lsm6dsoChip(SixAxis):
         return self._word[address - FIFO_OUT.start]
 
     def _sample(self, at_ns: int) -> None:
-        """Write the latest sample of each half into the data registers."""
         for name, half in self._halves.items():
             sampled_ns = half.grid.take(at_ns)
             if sampled_ns is None:

@@ -120,7 +120,6 @@ class Mmc5983Chip(Chip):
             self._grid.set(at_ns, round(1e9 / RATES_HZ[facts.FREQUENCY.of(value)]) if is_continuous else 0)
 
     def _command(self, value: int, at_ns: int) -> None:
-        """Carry out SET, RESET and single measurements (MMC-14, MMC-17)."""
         if facts.SET_COIL.of(value):
             self._sign = 1.0
         if facts.RESET_COIL.of(value):

@@ -182,7 +182,6 @@ class MpuFamily(SixAxis):
         raise NotImplementedError
 
     def _convert(self, at_ns: int) -> None:
-        """Write the sample of this instant into the data registers."""
         table: ModuleType = self.table
         accel, gyro = self.page[table.ACCEL_CONFIG.address], self.page[table.GYRO_CONFIG.address]
         accel_filter, gyro_filter = self.low_passes()

@@ -156,7 +156,6 @@ def _check_sensor(route: SensorRoute, self_test: bool) -> Detection:
 
 
 def _check_mux(address: int, owner: str, bus: OpenBus) -> Detection:
-    """Check the multiplexer: does it answer, and is its address free?"""
     if owner:
         return Detection(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
     try:
@@ -259,7 +258,6 @@ def _is_listed(detections: Sequence[Detection], address: int) -> bool:
 
 
 def _answers(segment: Bus, address: int, register: Register) -> bool:
-    """Return whether a chip with this identity answers at `address`."""
     try:
         return segment.transfer(address, bytes([register.address]), 1)[0] == register.reset
     except OSError:
@@ -361,7 +359,6 @@ def _propose_devices(devices: Sequence[Detection], bus: str, name: str) -> str:
 
 
 def _sensor(name: str, chip: str, line: Detection, settings: Mapping[str, Any]) -> str:
-    """Return the text of one [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
     settings_text = "".join(f"{key} = {value}\n" for key, value in settings.items())
     remark = f"  # {_REMARKS[line.found]}" if line.found in _REMARKS else ""

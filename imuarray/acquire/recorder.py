@@ -147,7 +147,6 @@ class Poll:
             self.finish()
 
     def _time_outs(self) -> int:
-        """Return how many transactions have timed out since the recording began."""
         return sum(adapter.all_time_outs for adapter in self._adapters)
 
     def skip(self, frames: int) -> int:

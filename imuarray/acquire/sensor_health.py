@@ -168,17 +168,14 @@ class _SensorState:
         self.overruns = 0
 
     def report(self, at_ns: int, kind: str, message: str) -> None:
-        """Report an event of this sensor."""
         self._faults.episode(self.name, kind).happened(at_ns, message)
 
     def begin_fault(self, at_ns: int, kind: str, message: str) -> None:
-        """Begin a fault that lasts until the sensor is configured again."""
         episode = self._faults.episode(self.name, kind)
         episode.begin(at_ns, message)
         self.open_faults.append(episode)  # there may be several: a kernel driver that takes a chip also configures it
 
     def has_fault(self, kind: str) -> bool:
-        """Return whether a fault of this kind lasts."""
         return self._faults.episode(self.name, kind) in self.open_faults
 
 
@@ -241,7 +238,6 @@ class SensorHealth:
             state.lost.count += count
 
     def _count(self, buffer: SampleBuffer, at_ns: int) -> int:
-        """Count and return the readings that are now known to be lost."""
         count = buffer.overdue(at_ns)
         self._lost[self._states[id(buffer)].name] += count
         if count:

@@ -273,7 +273,6 @@ class Streaming:
             self._finish()
 
     def _complete(self) -> bool:
-        """Return whether the last visit of the last requested frame has arrived."""
         if self._periods is None:
             return False
         split = self._plan.split
@@ -292,7 +291,6 @@ class Streaming:
         self._received_ns = self._bus.clock.now_ns()
 
     def _step(self) -> None:
-        """Receive once; if they are due, configure failed sensors and write rows."""
         try:
             if not self._bus.streaming:
                 raise LinkError("it does not answer")
@@ -432,7 +430,6 @@ class Streaming:
         self._count_frames()
 
     def _write(self, *, last: bool = False) -> None:
-        """Decode and write the trusted rows."""
         self._written_ns = self._bus.clock.now_ns()
         for rows in self._rows:
             count = len(rows.buffer.times_ns) if last else self._health.trusted_rows(rows)
@@ -443,7 +440,6 @@ class Streaming:
         self._options.progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
-        """Note an event of a sensor."""
         self._faults.episode(rows.buffer.route.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
 
 

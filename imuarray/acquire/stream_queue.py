@@ -129,7 +129,6 @@ class QueueRows(Rows):
         return count, self._leader._failure
 
     def _drain(self, samples: Samples, rate: float) -> None:
-        """Decode all bursts, in order, for all halves."""
         for index, start_us, end_us in self._visits(samples):
             number = int(samples.numbers[index])
             for half in self._halves:

@@ -371,7 +371,6 @@ class IioDevice:
 
 
 def _devices(root: Path) -> Iterator[Path]:
-    """Yield the folders of all devices."""
     with contextlib.suppress(OSError):
         for path in (root / DEVICES).iterdir():
             if DEVICE.fullmatch(path.name):

@@ -186,7 +186,6 @@ class LinuxBus:
             ) from error
 
     def _owner(self, address: int) -> str:
-        """Return the kernel driver of `address`, by name if the kernel states it."""
         number = os.path.realpath(self.where or self.path).rpartition("-")[2]
         link = self._devices / f"{number}-{address:04x}" / "driver"
         return f"the kernel's driver {link.readlink().name!r}" if link.is_symlink() else "a driver of the kernel"

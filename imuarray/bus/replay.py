@@ -232,12 +232,10 @@ def _time(value: Any) -> int:
 
 
 def _words(path: str, address: int, write: bytes, read: int) -> str:
-    """Describe a transaction in words."""
     where = f"{path} " if path else ""
     return f"{where}{address:#04x} write {write.hex() or 'nothing'} read {read}"
 
 
 def _claimed(path: str, address: int) -> str:
-    """Describe a query for the owner of an address in words."""
     where = f"{path} " if path else ""
     return f"{where}{address:#04x}: owner query"

@@ -145,7 +145,6 @@ class RecordingBus:
                 self._write(line)
 
     def _claim(self, address: int, path: str | None = None) -> None:
-        """Query the owner of an address, if the bus knows owners."""
         line: dict[str, Any] = {"claim": f"{address:02x}", "at_ns": self.bus.clock.now_ns()}
         if path:
             line["bus"] = path
@@ -181,7 +180,6 @@ class RecordingBus:
         return asked
 
     def _write(self, line: dict[str, Any]) -> None:
-        """Write a line with the readings of the clock before it."""
         line["end_ns"] = self.bus.clock.now_ns()
         seen = self._notes.take(line["at_ns"])
         if seen:

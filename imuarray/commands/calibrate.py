@@ -268,7 +268,6 @@ class CalibrationOutput:
 
 
 def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
-    """Print the report and the name of the file, as text or JSON."""
 
     known = json_value(report)
     if as_json:

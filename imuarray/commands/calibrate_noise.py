@@ -123,13 +123,11 @@ def _whole(seconds: float) -> str:
 
 
 def _lines(row: dict[str, Any], axis: str) -> str:
-    """Return the share of all lines of an axis in its variance."""
     share = sum(line["share"] for line in row["lines"] if line["axis"] == axis)
     return "-" if share == 0 else f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
 
 
 def _place(line: dict[str, Any]) -> str:
-    """Return the frequency of a line, or its range if it wandered."""
     return "{:.2f} to {:.2f}".format(*line["range_hz"]) if line["range_hz"] else f"{line['frequency_hz']:.2f}"
 
 

@@ -72,7 +72,6 @@ def print_report(report: dict[str, Any]) -> None:
 
 
 def _print_states(row: dict[str, Any]) -> None:
-    """Print the states of a sensor that has more than one."""
     if len(row["states"]) > 1:
         click.echo(f"{row['name']}: starts in one of {len(row['states'])} states (p {row['p_states']:.2g} by chance)")
         for state in row["states"]:

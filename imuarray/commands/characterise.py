@@ -91,7 +91,6 @@ def command(options: CharacteriseOptions) -> None:
 
 
 def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
-    """Return the result, with a bar on standard error while it is computed."""
     from imuarray.calibrate.motion import longest_rest
     from imuarray.characterise import characterise_log
 

@@ -243,7 +243,6 @@ class _Quality:
         """The quantities of which a frame has a value, by technique."""
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
-        """Add the next block of each result, by technique."""
         from imuarray.fuse import QuietNoise
 
         for technique, block in together.items():
@@ -255,7 +254,6 @@ class _Quality:
             self._errors.add(together)
 
     def results(self) -> dict[str, dict[str, Any]]:
-        """Return the results by technique and quantity."""
         if self._errors is not None:
             errors = self._errors.errors()
             return {technique: {name: vars(error) for name, error in of.items()} for technique, of in errors.items()}

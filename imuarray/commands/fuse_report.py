@@ -102,7 +102,6 @@ def _axes(pair: dict[str, Any]) -> str:
 
 
 def _pair_row(pair: dict[str, Any], width: int, *, drift: bool) -> str:
-    """Return the row of a pair, whose axes take `width` characters."""
     factor, unit = READABLE_SI[pair["quantity"]]
     doubt = " " if pair["is_bias"] else "*"
     slope = f"{_cells(pair['drift'], factor)} {doubt} " if drift else ""

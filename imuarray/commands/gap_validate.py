@@ -168,7 +168,6 @@ def _plan_of(options: ValidateOptions) -> dict[str, Any]:
 
 
 def _words(plan: dict[str, Any]) -> str:
-    """Return the plan as options of the command."""
     words = list[str]()
     for key, value in plan.items():
         if key == "folders":
@@ -224,7 +223,6 @@ def _prepare_folder(folder: Path, plan: dict[str, Any]) -> None:
 
 
 def _run(options: ValidateOptions, planned: list[Case], plan: dict[str, Any]) -> Path:
-    """Run the cases, and return the folder of their outcomes."""
     from imuarray.validation.running import executor_of, run_cases
     from imuarray.validation.trial import diagnose_case
 

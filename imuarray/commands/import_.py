@@ -140,7 +140,6 @@ def _is_log(source: Path) -> bool:
 
 
 def _guess(source: Path, output: Path | None, force: bool) -> None:
-    """Print a proposed map, or write it."""
     from imuarray.atomic import write_text
     from imuarray.importers.guess import guess_map
 
@@ -162,7 +161,6 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
 
 
 def _print_result(summary: ImportSummary, output: Path, as_json: bool) -> None:
-    """Print what was imported and its properties, as text or JSON."""
     from imuarray.importers.plausibility import store_report
     from imuarray.log import open_log
 

@@ -129,7 +129,6 @@ def serve_page(run: Path, arguments: Mapping[str, object], report: Callable[[str
 
 
 def _lower_priority(process: int) -> None:
-    """Lower the priority of a process, before it imports its modules."""
     if hasattr(os, "setpriority"):  # Windows has none
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS)

@@ -151,7 +151,6 @@ def command(options: MonitorOptions) -> None:
 
 
 def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:
-    """Show the log repeatedly until it has ended or Ctrl-C is pressed."""
     from imuarray.monitor.text import text_lines
 
     ends = nullcontext() if once else suppress(KeyboardInterrupt)  # the usual way to end

@@ -103,6 +103,5 @@ def _warnings_as_lines(name: str) -> Iterator[None]:
 
 
 def _end(name: str, text: str, exit_code: int) -> int:
-    """Print one line on standard error, and return the exit code."""
     click.echo(printable(f"{name}: {' '.join(text.split())}"), err=True)
     return exit_code

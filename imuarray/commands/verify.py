@@ -43,7 +43,6 @@ def command(run: Path, as_json: bool) -> None:
 
 
 def _print(run: Path, verdict: LogVerification) -> None:
-    """Print every problem and remark, then the sum."""
     for text in (*verdict.problems, *verdict.remarks):
         click.echo(f"  {text}")
     finding = counted(len(verdict.problems), "problem") if verdict.problems else "every block is good"

@@ -94,7 +94,6 @@ class Adxl345(ChipDriver):
         return decoded._replace(status=decoded.status | stale | overrun)
 
     def _triads(self, data: Bytes) -> DecodedBursts:
-        """Return counts of (n, 6) data bytes."""
         counts = words16(data)
         half_span = int(self.range_g * _LSB_PER_G)
         highest = half_span - (2 if self.rate_hz > 800 else 1)  # only even codes at 1600 and 3200 Hz: ADX-47

@@ -60,7 +60,6 @@ class _Window:
 
     @property
     def center(self) -> tuple[float, float]:
-        """The centre of the region of possible lines."""
         if self._center is None:
             self._center = _centroid(self.vertices)
         return self._center

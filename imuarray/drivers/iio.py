@@ -533,7 +533,6 @@ def _choice(triggers: Iterable[str]) -> str:
 
 
 def _plain(number: float) -> str:
-    """Format a number for sysfs."""
     return f"{number:.6f}".rstrip("0").rstrip(".")
 
 

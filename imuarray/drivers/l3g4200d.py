@@ -158,6 +158,5 @@ class L3g4200dFifo(L3g4200d):
 
 
 def _triads(data: Bytes) -> DecodedBursts:
-    """Return counts of (n, 6) data bytes."""
     counts = words16(data)
     return DecodedBursts(counts, None, saturated(counts, -32768, 32767))

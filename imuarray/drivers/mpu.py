@@ -61,14 +61,12 @@ class _Mpu(SixAxisHalf):
         )
 
     def range_fields(self) -> tuple[Field, Field]:
-        """Return the fields of the range and of the self-test of this half."""
         facts = self.table
         if self.half == "acc":
             return facts.ACCEL_RANGE, facts.ACCEL_SELF_TEST
         return facts.GYRO_RANGE, facts.GYRO_SELF_TEST
 
     def control(self, *, queued: bool) -> Setting:
-        """Return the setting of USER_CTRL, which switches the queue on."""
         facts = self.table
         setting: Setting = facts.USER_CTRL[7:0]((facts.FIFO_ON(int(queued)) | facts.I2C_OFF(int(self.on_spi))).value)
         return setting
@@ -86,7 +84,6 @@ class _QueuedMpu(QueuedHalf, _Mpu):
         return self.control(queued=True), self.table.FIFO_EN[7:0](EVERYTHING)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 16 bits, and the marks of synchronisation pulses."""
         return self.decode_marked_temperature(super().decode(bursts))
 
 

@@ -144,7 +144,6 @@ class QueuedHalf(SixAxisHalf):
         self._use(self._new_queue())
 
     def _new_queue(self) -> DieQueue:
-        """Return the queue of this die."""
         raise NotImplementedError
 
     def _queue_settings(self) -> tuple[Setting, ...]:

@@ -197,7 +197,6 @@ class DieQueue:
         self.times.restart()
 
     def _flush(self) -> None:
-        """Empty the chip's queue and clear its flags."""
         raise NotImplementedError
 
     def _drain(self) -> bool:
@@ -399,7 +398,6 @@ class Icm42688Queue(DieQueue):
         return True
 
     def _rows(self, packets: bytes, half: str) -> bytes:
-        """Return the rows of one half."""
         if self.high_resolution:
             return packet_format.high_resolution_rows(packets, half)
         return packet_format.widened(packets, half) if self.size == packet_format.ONE_TRIAD else packets

@@ -189,7 +189,6 @@ def _plain(value: Any) -> int | float | str | None:
 
 
 def _tracks(log: Log) -> Iterator[ExportTable]:
-    """Yield the tables of truth, reference and clocks."""
     for name, track in (("truth", log.truth), ("reference", log.reference), ("clocks", log.clocks)):
         if track is None:
             continue

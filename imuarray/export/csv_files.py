@@ -103,7 +103,6 @@ def _write_head(path: Path, content: Content, **more: Any) -> None:
 
 
 def _columns(table: ExportTable) -> Iterator[tuple[str, str]]:
-    """Yield name and unit of each column of a file."""
     for column in table.columns:
         unit = "s" if column.name == "time" else column.unit
         yield from ((name, unit) for name in csv_names(column.name, column.cells, column.unit))

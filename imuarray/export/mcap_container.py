@@ -191,14 +191,12 @@ class Container:
         )
 
     def _put(self, record: Any) -> int:
-        """Write a record, and return its length."""
         text = _bytes_of([record])
         self._file.write(text)
         return len(text)
 
 
 def _bytes_of(group: Sequence[Any]) -> bytes:
-    """Return the bytes of the records of a group, in sequence."""
     builder = RecordBuilder()
     for record in group:
         record.write(builder)

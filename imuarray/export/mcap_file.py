@@ -71,7 +71,6 @@ class _ChannelMessages(NamedTuple):
     parts: list[_EqualMessages]
 
     def joined(self, other: _ChannelMessages) -> _ChannelMessages:
-        """Return these messages followed by the others."""
         count = len(self.time_ns)
         return _ChannelMessages(
             np.concatenate([self.time_ns, other.time_ns]),
@@ -80,7 +79,6 @@ class _ChannelMessages(NamedTuple):
         )
 
     def split(self, count: int) -> tuple[_ChannelMessages, _ChannelMessages]:
-        """Return the first messages, and the rest."""
         first, rest = [], []
         for places, messages in self.parts:
             index = int(np.searchsorted(places, count))
@@ -129,7 +127,6 @@ class _ChannelStream:
 
     @property
     def ended(self) -> bool:
-        """True if all messages were taken."""
         return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:
@@ -268,7 +265,6 @@ def _channel(container: Container, topic: str, schema: Mapping[str, Any], metada
 
 
 def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_ChannelMessages]:
-    """Yield the rows of a table as messages."""
     columns = table.columns[1:]
     message: Callable[[Sequence[Any]], dict[str, Any]]
     if schemas.is_imu(table):
@@ -465,7 +461,6 @@ def _events(content: Content) -> list[_Entry]:
 
 
 def _phases(content: Content) -> list[_Entry]:
-    """Return an entry for the beginning and one for the end of each phase."""
     entries = [
         (phase.start_ns, f"{phase.name} begins{f', {phase.up} up' if phase.up else ''}") for phase in content.phases
     ]

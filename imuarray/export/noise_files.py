@@ -93,7 +93,6 @@ def _stored(request: ExportRequest) -> Mapping[str, Any]:
 
 
 def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
-    """Return the noise of the inertial sensors of a log at rest."""
     with open_log(request.source) as log:
         inertial = [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)]
         names = [log[name].name for name in request.sensors] or inertial

@@ -107,7 +107,6 @@ def _columns(part: Sequence[Message]) -> list[npt.NDArray[np.number]]:
 
 
 def _row(message: Any, received_ns: int, kind: str) -> Message:
-    """Return one message as a row."""
     stamp = message.header.stamp
     nanoseconds = int(getattr(stamp, "nanosec", 0) or getattr(stamp, "nsec", 0))
     values = tuple(float(_inside(message, name)) for name in VALUES[kind])

@@ -141,7 +141,6 @@ class TextTable:
         self._has_data = self._begins_with_number = False
 
     def _lines(self) -> Iterator[str]:
-        """Yield the lines with cells."""
         comment = self._layout.comment
         while line := self._read_line():
             self.line += 1
@@ -783,5 +782,4 @@ def _is_number(text: str) -> bool:
 
 
 def _shortened(text: str, length: int = 40) -> str:
-    """Return the text, shortened for messages."""
     return text if len(text) <= length else text[:length] + "..."

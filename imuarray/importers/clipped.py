@@ -50,7 +50,6 @@ def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:
 
 
 def _where(header: SensorHeader, rails: Rails) -> str:
-    """Return the counts at which the axes clip, in words."""
     axes: dict[str, str] = {}
     for axis, name in enumerate("xyz"):
         ends = [int(code) for code in (rails.low[axis], rails.high[axis]) if np.isfinite(code)]

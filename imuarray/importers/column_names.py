@@ -75,7 +75,6 @@ def unit_in(name: str) -> str:
 
 
 def _spelt_as_usual(unit: str) -> str:
-    """Return the usual spelling of a unit of any quantity, or itself."""
     if known := SPELLINGS.get(unit.lower()):
         return known
     spelt = (standard_unit(spelling, quantity) for quantity in UNITS_OF for spelling in (unit, unit.lower()))

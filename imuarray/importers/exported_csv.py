@@ -182,7 +182,6 @@ class _Tables:
 def _columns(
     group: ColumnGroup, block: CellBlock, places: dict[str, list[int]], names: Sequence[str], last_ns: int | None
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return a block of rows as numbers."""
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, kind, tail in group.columns:
         cells = [block.column(index, names[index]) for index in places[name]]

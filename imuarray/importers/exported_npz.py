@@ -84,7 +84,6 @@ class _Arrays:
             raise SourceError(f"{place}: declares {member.file_size} bytes, more than {member.compress_size} can hold")
 
     def header(self) -> bytes:
-        """Return the bytes of the JSON header."""
         info = self._member(f"{NPZ_HEADER}.npy")
         if info.file_size > MAX_HEADER_BYTES:
             raise SourceError(f"{self._where}: a header of {info.file_size} bytes; at most {MAX_HEADER_BYTES}")
@@ -135,7 +134,6 @@ class _Arrays:
                 }
 
     def _called(self, table: str, column: str) -> str:
-        """Return the name of the array of a column."""
         names = self.names.get(table) if isinstance(self.names, dict) else None
         name = names.get(column) if isinstance(names, dict) else None
         if not isinstance(name, str):

@@ -167,7 +167,6 @@ def _extreme_intervals(log: Log) -> tuple[float, float]:
 
 
 def _try_import(text: str, path: Path) -> _Trial:
-    """Import with this map and return the remarks on the recording."""
     with TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "map.toml").write_text(text, encoding="utf-8")

@@ -232,7 +232,6 @@ class _Recording:
         log.event(Event(0, "", "imported", note))
 
     def add(self, piece: Piece) -> None:
-        """Write the rows of one piece and report its errors as events."""
         number = piece.packets["number"].astype(np.int64)
         ticks = piece.packets["ticks"].astype(np.int64)
         if len(number) and not self.rows:
@@ -254,7 +253,6 @@ class _Recording:
             self.number, self.ticks, self.elapsed = int(number[-1]), int(ticks[-1]), int(elapsed[-1])
 
     def _write(self, piece: Piece, time: Integers, steps: Integers, fresh: npt.NDArray[np.bool_]) -> None:
-        """Append the new packets of `piece` to all sensors."""
         gap = np.where(steps > 1, LOST_BEFORE, 0)[fresh]
         axes = piece.packets["axes"].astype(np.int16)[fresh].reshape(-1, len(self.names), 3)
         for index, name in enumerate(self.names):
@@ -265,7 +263,6 @@ class _Recording:
         self.lost += int(np.maximum(steps - 1, 0).sum())
 
     def _note(self, piece: Piece, number: Integers, time: Integers, steps: Integers, passed: Integers) -> None:
-        """Write an event for each error in `piece`."""
         time_of_row = np.append(time, (self.elapsed * 125 + 4) // 8 if len(time) == 0 else time[-1])
         odd = piece.skipped - SIZE * piece.broken
         excess = np.abs(passed - steps * TICKS_PER_PACKET)

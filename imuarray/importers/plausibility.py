@@ -207,11 +207,9 @@ class _Sentences:
     sentences: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, name: str, sentence: str) -> None:
-        """Add a sentence for a sensor."""
         self.sentences.setdefault(sentence, []).append(name)
 
     def add_all(self, name: str, sentences: Iterable[str]) -> None:
-        """Add sentences for a sensor."""
         for sentence in sentences:
             self.add(name, sentence)
 
@@ -534,7 +532,6 @@ class _Codes:
 
     @property
     def is_constant(self) -> bool:
-        """True if no axis changes."""
         return all(len(codes.codes) == 1 for codes in self.seen)
 
     def quirks(self) -> Iterator[str]:

@@ -345,7 +345,6 @@ def _counts_rows(steps: Floats) -> bool:
 
 
 def _rate_hz(unit: str, step: float) -> float:
-    """Return the rate of rows that are `step` units of time apart."""
     return 1e9 / max(step * NS_PER_UNIT[unit], 1e-3)
 
 

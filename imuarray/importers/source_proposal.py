@@ -63,7 +63,6 @@ def propose_map(path: Path, *, join_parts: bool = True) -> Proposal:
 
 
 def _propose_zip(path: Path, join_parts: bool) -> Proposal:
-    """Propose a map of the texts in a zip file."""
     folder = unpack_texts(path)
     try:
         proposal = _propose_folder(folder, join_parts)
@@ -125,7 +124,6 @@ def _propose_tables(path: Path, is_text: bool, is_bag: bool) -> Proposal:
 
 
 def _propose_records(proposal: Proposal, source: RecordingRows, kind: str, names: Sequence[str]) -> None:
-    """Propose the sensors of records of a kind."""
     columns_of_kind, stem = _words_of_frames(source, kind, names) if FIRST_WORDS.issubset(names) else (names, kind)
     rows = _first_rows(source, kind, columns_of_kind)
     if len(rows) < 2:
@@ -162,7 +160,6 @@ def _words_of_frames(source: RecordingRows, kind: str, listed: Sequence[str]) ->
 
 
 def _first_rows(source: RecordingRows, kind: str, names: Sequence[str]) -> list[list[str]]:
-    """Return the cells of the first rows of a kind."""
     for block, places in source.blocks(list(names), kind or None, LOOKED_AT_ROWS):
         return [list(row) for row in zip(*(block.column(at, "").texts for at in places), strict=True)]
     return []

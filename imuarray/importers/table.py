@@ -152,7 +152,6 @@ class RowGroup(NamedTuple):
 
 
 def _streams(table_map: TableMap) -> list[RowGroup]:
-    """Group the items that share their rows."""
     items: list[RowSettings] = list(table_map.recorded)
     items += [table_map.reference] if table_map.reference is not None else []
     together: dict[tuple[Reference | None, str | None], list[RowSettings]] = {}
@@ -332,7 +331,6 @@ class _Rounding:
         self._off = self._steps = np.zeros(3)
 
     def add(self, values: npt.NDArray[np.float64], whole: npt.NDArray[np.signedinteger]) -> None:
-        """Add values (n, 3) in counts, and the counts."""
         self.rows += len(values)
         self._off = self._off + ((values - whole) ** 2).sum(axis=0)
         self._steps = self._steps + (np.diff(values, axis=0) ** 2).sum(axis=0) / 2
@@ -379,7 +377,6 @@ class _Stream:
         self._rounding = {item.name: _Rounding(item.counts_per_unit is None) for item in triads if item.is_physical}
 
     def in_order(self, blocks: Blocks) -> Blocks:
-        """Yield the rows, sorted by time if the map requires it."""
         return self._order.in_order(blocks) if self._order is not None else blocks
 
     def _stamps(self, block: CellBlock, places: Sequence[int]) -> Times:
@@ -393,7 +390,6 @@ class _Stream:
         return np.asarray(stamps[np.maximum(np.cumsum(timed) + earlier_count - 1, 0)])
 
     def add(self, block: CellBlock, places: Sequence[int]) -> None:
-        """Write the rows of one block."""
         cells = {
             column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, places, strict=True)
         }
@@ -523,7 +519,6 @@ class _Stream:
         self.log.stimulus("reference", Stimulus(time[filled], triads[0], triads[1], warm))
 
     def remarks(self) -> Iterator[str]:
-        """Return sentences on changed and omitted values."""
         if self.padding:
             yield f"{counted(self.padding, 'row')} of zeros only, time included, left out as padding"
         if self._order is not None and self._order.late:
@@ -560,7 +555,6 @@ class _Stream:
 
 
 def _zeros(cell: CellColumn) -> Booleans:
-    """Return (n,) cells that are zero."""
     if cell.values is not None:
         return np.asarray(cell.values == 0, bool)
     return np.array([text != "" and not text.strip("0.+- ") for text in cell.texts], bool)
@@ -640,7 +634,6 @@ class _Recording:
         return [*(text for stream in self.streams for text in stream.remarks()), *self._counted_out]
 
     def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
-        """Return sentences on inferred, changed and omitted values."""
         names_by_remark: dict[str, list[str]] = {}
         of_codes = {sensor.name for sensor in self._map.sensor if not sensor.is_physical}
         for name, resolution in learnt.items():

@@ -76,7 +76,6 @@ class RowCache:
         return None if block is None or stop - first > len(block) else block[start - first : stop - first].copy()
 
     def _block(self, column: h5py.Dataset, name: str, first: int) -> npt.NDArray[Any]:
-        """Return the block that begins at row `first`."""
         key = name, first
         with self._lock:
             if key in self._blocks:
@@ -140,7 +139,6 @@ class NamedColumn:
         return rows if rows.dtype == self._dtype else rows.astype(self._dtype)
 
     def _stored(self, key: Any) -> Any:
-        """Return rows as they are stored."""
         if self._cache is not None and self._cache.used:
             if isinstance(key, slice) and key.step in (None, 1):
                 start, stop, _ = key.indices(len(self))
@@ -162,7 +160,6 @@ class NamedColumn:
         return np.asarray(self[()] if self.shape == () else self[:], dtype)
 
     def _damaged(self, key: Any) -> LogError:
-        """Return an error message that names the requested rows."""
         if isinstance(self._column, h5py.Dataset) and not self._column:
             return LogError(f"{self._place}: the log is closed; read its rows while it is open")
         rows = key[0] if isinstance(key, tuple) and key else key

@@ -105,7 +105,6 @@ class HeapCheckedFile(io.RawIOBase):
 
 
 def _adds_up(fd: int, position: int) -> bool:
-    """Return whether the objects of the heap at this place fill it exactly."""
     length = int.from_bytes(os.pread(fd, _HEAD, position)[8:], "little")
     if not _HEAD <= length <= LONGEST:
         return False
@@ -314,7 +313,6 @@ class _OpenObject(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The path as it can be shown."""
         return _printable_name(self.path)
 
 

@@ -75,7 +75,6 @@ class Salvage:
 
     @property
     def _end(self) -> int:
-        """Return the current length of the journal."""
         return os.fstat(self._fd).st_size
 
     def _read_bytes(self, size: int, position: int) -> bytes:

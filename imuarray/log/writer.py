@@ -162,7 +162,6 @@ class Live:
         self._file.close()
 
     def _run(self) -> None:
-        """Run the thread: write waiting blocks together, until the log is closed."""
         while True:
             items, flushed, is_open = self._take()
             if self.error is None:
@@ -478,7 +477,6 @@ class LogWriter:
             self._draft.discard()
 
     def _complete(self) -> None:
-        """Turn the draft into the log."""
         try:
             self._draft.close()
             self._draft.publish(self.path)
@@ -580,7 +578,6 @@ def finish(path: Path, lock: JournalLock) -> None:
 
 
 def _end_ns(log: Log) -> int:
-    """Return the time of the last row of all."""
     return max((int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)), default=0)
 
 

@@ -141,7 +141,6 @@ def _finite_mean(rows: Any) -> float | None:
 
 
 def _flags(window: LatestRows) -> dict[str, int]:
-    """Return the number of rows of the window with each flag that occurs."""
     status = np.asarray(window.rows.get("status", np.empty(0, np.uint16)))
     counts = {name: int(((status & flag) != 0).sum()) for name, flag in FLAGS.items()}
     return {name: count for name, count in counts.items() if count}
@@ -306,7 +305,6 @@ def _observations(
 
 
 def _extent(windows: Iterable[LatestRows]) -> tuple[int | None, int | None]:
-    """Return the times of the first and of the newest row of the log."""
     spoken = [window for window in windows if len(window.newest)]
     firsts = [window.first_ns for window in spoken if window.first_ns is not None]
     return min(firsts, default=None), max((int(window.newest[-1]) for window in spoken), default=None)

@@ -182,7 +182,6 @@ def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> di
 
 
 def _density(view: SensorView) -> dict[str, list[float | None]] | None:
-    """Return the amplitude spectral density, in units per root hertz."""
     if view.spectrum is None:
         return None
     bins = slice(_LOWEST_BIN, None)

@@ -117,7 +117,6 @@ class EventCounts:
         return tuple(sorted(self._groups.values(), key=lambda repeated: repeated.event.time_ns)[::-1])
 
     def _add_to_group(self, event: Event) -> None:
-        """Count an event together with those that differ from it only in numbers."""
         key = event.sensor, event.kind, _NUMBER.sub("#", event.message)
         earlier = self._groups.pop(key, None)
         first_ns = event.time_ns if earlier is None else earlier.first_ns

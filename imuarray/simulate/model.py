@@ -123,7 +123,6 @@ class Model:
         return tomli_w.dumps(table)
 
     def _made(self, kind: str, part: Part, sensor: SensorHeader, streams: Streams) -> Iterator[Effect]:
-        """Yield the effects of one kind, each with its own draws."""
         keys, where = spelled(EFFECTS[kind], sensor.unit), f"model {self.name}: sensor {sensor.name}: {kind}"
         for number, recipe in enumerate(part.effects[kind], start=1):
             table = drawn(recipe, keys, kind if number == 1 else f"{kind} {number}", sensor, streams)

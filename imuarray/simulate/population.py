@@ -116,7 +116,6 @@ def drawn(
 
 
 def _item(value: Any, where: str) -> float | str | Spread:
-    """Return a parameter that is not a list."""
     if isinstance(value, dict):
         return _spread_of(value, where)
     if isinstance(value, bool) or not isinstance(value, int | float | str):

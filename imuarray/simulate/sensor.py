@@ -213,7 +213,6 @@ class SimulatedSensor:
         return math.ceil(self.timeline.rows_per_s / rate_hz) + 1 if 0 < rate_hz < self.timeline.rows_per_s else 0
 
     def _evaluated(self, number: int, swapped: bool) -> Chunk:
-        """Return one chunk."""
         return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
 
     def _rows_alone(self, begin: int, end: int) -> Block:
@@ -375,7 +374,6 @@ def _arriving_of(chunk: Chunk, start: int, stop: int) -> Block:
 
 
 def _bytes_of_rows(block: Block) -> int:
-    """Return the size in bytes of the columns of a block."""
     columns = (block.time, block.counts, block.status, block.temperature_counts)
     return sum(column.nbytes for column in columns if column is not None)
 

@@ -72,7 +72,6 @@ class _CubicPieces(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """Return the size in memory in bytes; a broadcast row counts as none."""
         arrays = (self.time_ns, self.moves, self.length_s, self.curve)
         return sum(array.nbytes for array in arrays) + (self.start.nbytes if self.start.strides[1] else 0)
 
@@ -170,7 +169,6 @@ class SplineColumns:
         return result
 
     def _numbers(self, within: Integers) -> npt.NDArray[np.intp]:
-        """Return (n,) the number of the block of each time."""
         return np.searchsorted(self._starts_ns, within, side="right") - 1
 
     @cached_property
@@ -307,7 +305,6 @@ def _values_and_slopes(block: _CubicPieces, time_ns: Integers) -> Reals:
 
 
 def _moving(block: _CubicPieces, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Return the indices in `row` of the pieces that are not constant."""
     return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
 
 
@@ -425,7 +422,6 @@ class LikeLog:
 
     @cached_property
     def _remembered(self) -> Callable[[bytes], BoxStimulus]:
-        """A cache of stimuli by their times as bytes."""
         return lru_cache(maxsize=_KEPT)(lambda times: self._stimulus(np.frombuffer(times, np.int64)))
 
     def _stimulus(self, time_ns: Integers) -> BoxStimulus:
@@ -475,7 +471,6 @@ class LikeLog:
 
     @cached_property
     def _attitudes(self) -> Reals:
-        """The attitudes (k, 3, 3) of the named faces."""
         return np.array([standing_on(phase.up) for phase in self._faces])
 
     @cached_property
@@ -485,7 +480,6 @@ class LikeLog:
 
     @cached_property
     def _track(self) -> tuple[str, Track | None]:
-        """The rows of the log that are followed."""
         for name, track in (("truth", self.log.truth), ("reference", self.log.reference)):
             complete = track is not None and track.specific_force is not None and track.angular_rate is not None
             if track is not None and complete and len(track.time):
@@ -494,7 +488,6 @@ class LikeLog:
 
     @cached_property
     def _moving(self) -> SplineColumns | None:
-        """The columns of force and rate."""
         name, track = self._track
         if track is None or track.specific_force is None or track.angular_rate is None:
             return None

@@ -45,12 +45,10 @@ class _TrajectoryRows:
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The phase, from the first row to the last."""
         return (Phase(0, int(self.time_ns[-1]), "motion"),)
 
     @property
     def seconds(self) -> float:
-        """The time of the last row."""
         return int(self.time_ns[-1]) * 1e-9
 
     @property

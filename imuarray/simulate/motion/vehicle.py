@@ -106,7 +106,6 @@ class Vehicle(MotionBetweenRests):
         return Rotation.from_euler("ZYX", np.stack([angles.yaw[0], angles.pitch[0], angles.roll[0]], axis=1))
 
     def _drive(self, seconds: Reals) -> _Drive:
-        """Return the driver's inputs."""
         going_s, braking_s = GOING_SHARE * self.drive_s, BRAKING_SHARE * self.drive_s
         going = _derivatives(smooth_step(seconds / going_s), going_s)
         braking = _derivatives(smooth_step((seconds - self.drive_s) / braking_s + 1), braking_s)
