@@ -8,9 +8,9 @@ register. The bypass of the chip around a magnetometer determines whether it can
 from __future__ import annotations
 
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
+from firmware_emulator.chip import NEVER_NS, Chip, Triple
 from firmware_emulator.six_axis import SampleGrid
 from imuarray.facts import ak8963, ak8975
 from imuarray.facts.registers import Register
@@ -42,17 +42,9 @@ class AkmChip(Chip):
     own_field: ClassVar[Triple]
     """Field of the self-test in gauss; it replaces the external field."""
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        adjustment: tuple[int, int, int] = ADJUSTMENT,
-        identity: int | None = None,
-    ) -> None:
+    def __init__(self, *arguments: Any, adjustment: tuple[int, int, int] = ADJUSTMENT, **switches: Any) -> None:
         self._adjustment = adjustment
-        super().__init__(address, element, powered_on_ns, identity=identity)
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values, powered down."""

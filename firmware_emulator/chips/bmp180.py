@@ -90,6 +90,7 @@ class Bmp180Chip(BoschBarometer):
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.CHIP_ID
     words = Bmp180Words()
+    temperature_word = staticmethod(ut_of)
     word_bytes: ClassVar[Sequence[int]] = (2,) * 11
     byte_order: ClassVar[Literal["little", "big"]] = "big"
 
@@ -142,10 +143,6 @@ class Bmp180Chip(BoschBarometer):
             oss = facts.OVERSAMPLING.of(self.page[_CONTROL])
             result = self._up(ut, oss, at_ns) << 8 - oss  # BMP-47
         self.page[_OUT : _OUT + 3] = result.to_bytes(3, "big")
-
-    def ut_of(self, degc: float) -> int:
-        """Return the inverse of the data sheet's formula."""
-        return ut_of(self.words, degc)
 
     def _up(self, ut: int, oss: int, at_ns: int) -> int:
         pascal = self.pressure_pa(at_ns, NOISE_PA[oss])

@@ -86,6 +86,7 @@ class Bmp280Chip(CyclicBarometer):
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.CHIP_ID
     words = Bmp280Words()
+    temperature_word = staticmethod(ut_of)
     word_bytes: ClassVar[Sequence[int]] = (2,) * 12
     control = _CONTROL
 
@@ -106,10 +107,6 @@ class Bmp280Chip(CyclicBarometer):
     def filter_divisor(self) -> int:
         """Return the filter coefficient (BMP-110)."""
         return COEFFICIENTS[facts.FILTER.of(self.page[_CONFIG])]
-
-    def ut_of(self, degc: float) -> int:
-        """Return the inverse of the data sheet's formula in real numbers."""
-        return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
         """Write pressure and then temperature into the data registers, 20 bits each (BMP-111)."""

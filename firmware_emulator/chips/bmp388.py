@@ -85,6 +85,7 @@ class Bmp388Chip(CyclicBarometer):
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.CHIP_ID
     words = Bmp388Words()
+    temperature_word = staticmethod(ut_of)
     word_bytes: ClassVar[Sequence[int]] = WORD_BYTES
     control = _POWER
 
@@ -112,10 +113,6 @@ class Bmp388Chip(CyclicBarometer):
     def filter_divisor(self) -> int:
         """Return the filter coefficient, 0, 1, 3, ... 127, plus one (BMP-210)."""
         return 1 << facts.FILTER.of(self.page[_CONFIG])
-
-    def ut_of(self, degc: float) -> int:
-        """Return the inverse of the manufacturer's formula in real numbers."""
-        return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
         """Write pressure, then temperature, 24 bits each, into the data registers, and set flags (BMP-205, BMP-211)."""

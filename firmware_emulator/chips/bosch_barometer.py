@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
-from firmware_emulator.chip import NEVER_NS, Chip, Element
+from firmware_emulator.chip import NEVER_NS, Chip
 
 START_UP_NS = 2_000_000  # BMP-113, BMP-212
 SOFT_RESET = 0xB6  # BMP-12, BMP-104, BMP-204
@@ -24,19 +24,18 @@ class BoschBarometer(Chip):
     """
 
     words: Any
+    temperature_word: Callable[[Any, float], int]
+    """The inverse of the data sheet's formula: the raw word of a temperature in degC, by calibration words."""
     word_bytes: ClassVar[Sequence[int]]
     byte_order: ClassVar[Literal["little", "big"]] = "little"
     start_up_ns = START_UP_NS
 
     def __init__(
         self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
+        *arguments: Any,
         calibration: Mapping[str, int] | None = None,
         generator: random.Random | None = None,
-        identity: int | None = None,
+        **switches: Any,
     ) -> None:
         """Create the chip. `calibration` contains the words, by name, that differ from the data sheet's example;
         `generator` draws the pressure noise (None: no noise; temperature noise is not modelled: BMP-77).
@@ -44,7 +43,7 @@ class BoschBarometer(Chip):
         self._generator = generator
         self._ut_at: tuple[float, int] = (float("nan"), 0)
         self.words = self.words._replace(**(calibration or {}))
-        super().__init__(address, element, powered_on_ns, identity=identity)
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values and this part's calibration words; no conversion is in progress."""
@@ -58,15 +57,11 @@ class BoschBarometer(Chip):
         self._ready_ns = at_ns + self.start_up_ns
         self._end_ns = NEVER_NS
 
-    @abstractmethod
-    def ut_of(self, degc: float) -> int:
-        """Return the raw word of a temperature."""
-
     def ut(self, at_ns: int) -> int:
         """Return the raw word of the temperature at that time, computed once for each temperature."""
         degc = self.element.temperature(at_ns)
         if degc != self._ut_at[0]:
-            self._ut_at = degc, self.ut_of(degc)
+            self._ut_at = degc, self.temperature_word(self.words, degc)
         return self._ut_at[1]
 
     def pressure_pa(self, at_ns: int, noise_pa: float) -> float:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, ClassVar
 
-from firmware_emulator.chip import NEVER_NS, Element, Triple, registers_of
+from firmware_emulator.chip import NEVER_NS, Triple, registers_of
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, Die, SampleGrid, SixAxis, clipped
 from firmware_emulator.tolerances import Tolerances, typical
 from imuarray.facts import icm42688 as facts
@@ -70,17 +69,10 @@ class Icm42688Chip(SixAxis):
     reset_ns: ClassVar[int] = RESET_NS
 
     def __init__(
-        self,
-        address: int,
-        elements: Mapping[str, Element],
-        powered_on_ns: int = 0,
-        *,
-        trim_code: int = TRIM_CODE,
-        clock_input_hz: float = 0.0,
-        **switches: Any,
+        self, *arguments: Any, trim_code: int = TRIM_CODE, clock_input_hz: float = 0.0, **switches: Any
     ) -> None:
         self._trim_code, self._clock_input_hz = trim_code, clock_input_hz
-        super().__init__(address, elements, powered_on_ns, **switches)
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Switch both halves off and set every register of every bank to its reset value (TDK-10, TDK-11)."""

@@ -7,9 +7,9 @@ not. Not modelled: interrupts, the three-wire SPI, magnetisation by strong field
 from __future__ import annotations
 
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from firmware_emulator.chip import NEVER_NS, Chip, Element, Triple
+from firmware_emulator.chip import NEVER_NS, Chip, Triple
 from firmware_emulator.six_axis import SampleGrid
 from imuarray.facts import mmc5983 as facts
 from imuarray.facts.registers import Register
@@ -34,17 +34,9 @@ class Mmc5983Chip(Chip):
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.PRODUCT_ID
 
-    def __init__(
-        self,
-        address: int,
-        element: Element,
-        powered_on_ns: int = 0,
-        *,
-        bridge: Triple = BRIDGE_GAUSS,
-        identity: int | None = None,
-    ) -> None:
+    def __init__(self, *arguments: Any, bridge: Triple = BRIDGE_GAUSS, **switches: Any) -> None:
         self._bridge = bridge
-        super().__init__(address, element, powered_on_ns, identity=identity)
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values: idle, magnetised as by a SET (DEC-211)."""

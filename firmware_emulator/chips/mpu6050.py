@@ -9,11 +9,10 @@ low-power cycle, standby of single axes, and the settling of the zero-rate level
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from types import ModuleType
 from typing import Any, ClassVar
 
-from firmware_emulator.chip import Element, Triple
+from firmware_emulator.chip import Triple
 from firmware_emulator.chips.mpu_queue import BASE_PERIOD_NS, DATA, UNFILTERED_PERIOD_NS, MpuFamily
 from firmware_emulator.six_axis import Die
 from firmware_emulator.tolerances import Tolerances, typical
@@ -46,17 +45,9 @@ class Mpu6050Chip(MpuFamily):
     default_trim_code: ClassVar[int] = TRIM_CODE
     accel_push_range: ClassVar[int] = 0b10
 
-    def __init__(
-        self,
-        address: int,
-        elements: Mapping[str, Element],
-        powered_on_ns: int = 0,
-        *,
-        clock_input_hz: float = 0.0,
-        **switches: Any,
-    ) -> None:
+    def __init__(self, *arguments: Any, clock_input_hz: float = 0.0, **switches: Any) -> None:
         self._clock_input_hz = clock_input_hz
-        super().__init__(address, elements, powered_on_ns, **switches)
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Set every register to its reset value, asleep, with an empty queue (INV-10, INV-25)."""

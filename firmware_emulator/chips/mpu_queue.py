@@ -12,12 +12,12 @@ slot, except for the delay that the other slots share; other masters; the durati
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from struct import Struct
 from types import ModuleType
 from typing import Any, ClassVar
 
-from firmware_emulator.chip import Element, Target, Triple
+from firmware_emulator.chip import Target, Triple
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, SampleGrid, SixAxis, clipped
 from imuarray.facts import mpu6500 as facts
 
@@ -143,19 +143,11 @@ class MpuFamily(SixAxis):
         """True while the auxiliary bus is connected to the array's (INV-97)."""
         return bool(self.page[INT_PIN_CFG] & BYPASS) and not self.page[USER_CTRL] & MASTER
 
-    def __init__(
-        self,
-        address: int,
-        elements: Mapping[str, Element],
-        powered_on_ns: int = 0,
-        *,
-        trim_code: int | None = None,
-        **switches: Any,
-    ) -> None:
+    def __init__(self, *arguments: Any, trim_code: int | None = None, **switches: Any) -> None:
         self._trim_code = self.default_trim_code if trim_code is None else trim_code
         self._queue: deque[int] = deque(maxlen=self.fifo_bytes)
         self.auxiliary = AuxiliaryMaster()
-        super().__init__(address, elements, powered_on_ns, **switches)
+        super().__init__(*arguments, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Set the reset values and empty the queue."""
