@@ -37,6 +37,7 @@ from imuarray.importers.proposal import (
 )
 from imuarray.importers.text_layout import TextLayout, quoted
 from imuarray.importers.triad_behaviour import (
+    NamedTriad,
     has_unit_length,
     is_computed_gravity,
     is_gravity,
@@ -231,7 +232,7 @@ def _triads(
     taken: set[int],
     stem_of_file: str,
     units: Mapping[str, str],
-) -> Iterator[tuple[str, tuple[int, int, int]]]:
+) -> Iterator[NamedTriad]:
     """Yield the quantity ("" if neither name nor unit states it) and the columns of each triad."""
     if not names:
         free = [index for index in range(len(columns)) if index not in taken and np.isfinite(columns[index]).any()]
@@ -295,11 +296,8 @@ def _attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tupl
 
 
 def _with_gravity_again(
-    triads: list[tuple[str, tuple[int, int, int]]],
-    names: Sequence[str],
-    columns: Sequence[Floats],
-    proposal: Proposal,
-) -> list[tuple[str, tuple[int, int, int]]]:
+    triads: list[NamedTriad], names: Sequence[str], columns: Sequence[Floats], proposal: Proposal
+) -> list[NamedTriad]:
     """Return the triads with gravity and linear acceleration combined, if the table has no accelerometer readings."""
     forces = [indices for quantity, indices in triads if quantity == "specific_force"]
     if names:
@@ -324,17 +322,14 @@ _FREE = re.compile("user|lin|free", re.IGNORECASE)
 
 
 def _with_quantity(
-    triads: list[tuple[str, tuple[int, int, int]]],
-    names: Sequence[str],
-    columns: Sequence[Floats],
-    proposal: Proposal,
-) -> list[tuple[str, tuple[int, int, int]]]:
+    triads: list[NamedTriad], names: Sequence[str], columns: Sequence[Floats], proposal: Proposal
+) -> list[NamedTriad]:
     """Return the triads of known quantity; if no quantity is known, all triads are assumed to be specific forces."""
 
-    def first_name(triad: tuple[str, tuple[int, int, int]]) -> str:
+    def first_name(triad: NamedTriad) -> str:
         return names[triad[1][0]] if names else f"column {triad[1][0] + 1}"
 
-    def leave_out(some: Sequence[tuple[str, tuple[int, int, int]]], why: str) -> None:
+    def leave_out(some: Sequence[NamedTriad], why: str) -> None:
         proposal.doubts.append(
             f"left out: {why}: {', '.join(map(first_name, some))}, and the two columns after each of them"
         )
@@ -374,7 +369,7 @@ _PLAIN_COLUMNS = 9
 """Largest number of columns without names that are assumed to be force, rate and field in this order."""
 
 
-def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[NamedTriad]:
     """Yield the triads of columns without names: consecutive threes, or among many others those that behave like it.
     The magnitude of specific force is constant under rotation; the first triad is assumed to be a force unless the
     second one behaves like it.

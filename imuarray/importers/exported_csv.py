@@ -19,7 +19,7 @@ import numpy.typing as npt
 from imuarray.errors import SourceError
 from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, csv_names
 from imuarray.importers import ImportSummary, open_source
-from imuarray.importers.cells import CellBlock, CellColumn, TextTable, nanoseconds
+from imuarray.importers.cells import CellBlock, CellColumn, TextTable, TimeColumn
 from imuarray.importers.exported import (
     COLUMN_UNITS,
     MAX_HEADER_BYTES,
@@ -33,8 +33,6 @@ from imuarray.importers.mapping import FileTable
 from imuarray.log.journal import ColumnGroup, Columns
 from imuarray.log.untrusted_input import MAX_TEXT_BYTES
 from imuarray.printable import printable
-
-_S = 1_000_000_000
 
 
 def import_file(
@@ -186,7 +184,7 @@ def _columns(
     for name, kind, tail in group.columns:
         cells = [block.column(index, names[index]) for index in places[name]]
         if name == "time":
-            columns[name] = nanoseconds(cells[0], _S, last_ns)
+            columns[name] = TimeColumn("s", last_ns=last_ns).nanoseconds(cells[0])
         else:
             values = [_numbers(cell, np.dtype(kind)) for cell in cells]
             columns[name] = np.stack(values, axis=1) if tail else values[0]
@@ -213,4 +211,4 @@ def _fits(text: str, kind: np.dtype[Any]) -> bool:
 
 def _time(text: str, path: Path) -> int:
     """Convert seconds to nanoseconds exactly; SourceError."""
-    return int(nanoseconds(CellColumn(str(path), "time", [0], [text]), _S, None)[0])
+    return int(TimeColumn("s").nanoseconds(CellColumn(str(path), "time", [0], [text]))[0])

@@ -28,7 +28,7 @@ from imuarray.importers.resolution import (
     usual_bits,
 )
 from imuarray.importers.text_layout import TextLayout, quoted
-from imuarray.importers.triad_behaviour import NEAR_GRAVITY, fit_sphere
+from imuarray.importers.triad_behaviour import NEAR_GRAVITY, TriadIndices, fit_sphere
 from imuarray.printable import printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
 
@@ -78,7 +78,7 @@ class Proposal:
     doubts: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     units: Mapping[str, str] = field(default_factory=dict)
-    gravity: dict[tuple[int, int, int], tuple[int, int, int]] = field(default_factory=dict)
+    gravity: dict[TriadIndices, TriadIndices] = field(default_factory=dict)
     """Columns of accelerations without gravity, and those of the gravity that was subtracted."""
 
     attitudes: list[list[str]] = field(default_factory=list)
@@ -426,7 +426,7 @@ def propose_sensor(
     quantity: str,
     names: Sequence[str],
     columns: Sequence[Floats],
-    indices: tuple[int, int, int],
+    indices: TriadIndices,
     force_unit: str,
     proposal: Proposal,
 ) -> Item:

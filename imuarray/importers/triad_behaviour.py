@@ -13,12 +13,18 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.units import STANDARD_GRAVITY
 
+TriadIndices = tuple[int, int, int]
+"""The indices of three columns."""
+
+NamedTriad = tuple[str, TriadIndices]
+"""A quantity ("" if unknown) and its columns."""
+
 _GRAVITIES = (1.0, STANDARD_GRAVITY, 1000.0, *(2.0**power for power in range(8, 15)))
 """1 g in g, m/s2, mg, and in counts of the usual ranges."""
 NEAR_GRAVITY = 0.15
 
 
-def is_computed_gravity(columns: Sequence[Floats], indices: tuple[int, int, int]) -> bool:
+def is_computed_gravity(columns: Sequence[Floats], indices: TriadIndices) -> bool:
     """Return whether a triad is gravity from a filter: its length is 1 or g to a thousandth while it turns."""
     lengths = _lengths(columns, indices)
     if not len(lengths) or not keeps_its_length(columns, indices):
@@ -38,10 +44,10 @@ _FOLLOWS_GRAVITY = 0.35
 _SMOOTHED_ROWS = 5
 
 
-def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[NamedTriad]:
     """Yield the triads that behave like gravity, and the triads next to them that behave like rates and fields."""
     candidates = [index for index in free if not is_label(columns[index])]
-    forces: list[tuple[int, int, int]] = []
+    forces: list[TriadIndices] = []
     runs: list[list[int]] = [[]]
     first = 0
     while first < len(candidates):
@@ -105,7 +111,7 @@ def is_steady_gravity(columns: Sequence[Floats], indices: Sequence[int]) -> bool
     return bool(high - low < 0.6 * middle)
 
 
-def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force: tuple[int, int, int]) -> bool:
+def _turns_gravity(columns: Sequence[Floats], rate: TriadIndices, force: TriadIndices) -> bool:
     """Return whether gravity turns in agreement with a rate, df/dt = -omega x f, for any unit of both."""
     w, f = (np.stack([columns[index] for index in triad], axis=1) for triad in (rate, force))
     finite = np.isfinite(w).all(axis=1) & np.isfinite(f).all(axis=1)
@@ -120,7 +126,7 @@ def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force:
     return size > 0 and float(change @ turned) / size > _FOLLOWS_GRAVITY
 
 
-def keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+def keeps_its_length(columns: Sequence[Floats], triad: TriadIndices) -> bool:
     """Return whether a triad turns at constant length, like gravity in a sensor that is turned."""
     values = np.stack([columns[index] for index in triad], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
@@ -132,7 +138,7 @@ def keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) -> 
     return bool(high - low < NEAR_GRAVITY * middle and turned > 0.5 * middle)
 
 
-def is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+def is_gravity(columns: Sequence[Floats], triad: TriadIndices) -> bool:
     """Return whether the median length of a triad is 1 g in some unit."""
     lengths = np.sqrt(sum(columns[index] ** 2 for index in triad))
     if np.isnan(lengths).all():

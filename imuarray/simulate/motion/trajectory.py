@@ -185,11 +185,11 @@ class _Cells(NamedTuple):
 
 def load_trajectory(path: str | PathLike[str]) -> Trajectory | StimulusRows:
     """Return the motion that the file describes; SourceError, in one line, names line and column."""
-    from imuarray.importers.cells import nanoseconds  # importers are loaded only if a file is read
+    from imuarray.importers.cells import TimeColumn  # importers are loaded only if a file is read
 
     cells = _read(Path(path))
     layout = _layout(cells)
-    time_ns = nanoseconds(cells.column(TIME), 1_000_000_000, None)
+    time_ns = TimeColumn("s").nanoseconds(cells.column(TIME))
     time_ns = time_ns - time_ns[0]
     degc = cells.numbers(TEMPERATURE)[:, 0] if TEMPERATURE in cells.text else np.full(len(time_ns), ROOM_DEGC)
     if layout[:3] == FORCE:
