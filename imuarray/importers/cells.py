@@ -96,14 +96,15 @@ class CellColumn(NamedTuple):
         rare, because a column of words is not one of readings.
         """
         nothing = np.zeros(self.rows, bool)
-        if self.values is not None or self.rows < FEWEST_WHOLE_ROWS:
+        is_excerpt = self.rows < FEWEST_WHOLE_ROWS and (not self.rows or self.lines[0] <= FEWEST_WHOLE_ROWS)
+        if self.values is not None or is_excerpt:
             return nothing
         try:
             list(map(float, self.texts))
         except ValueError:
             blank = self.blank()
             is_torn = ~blank & np.array([not _is_number(text) for text in self.texts], bool)
-            return is_torn if np.count_nonzero(is_torn) <= MOST_TORN * self.rows else nothing
+            return is_torn if np.count_nonzero(is_torn) <= max(1.0, MOST_TORN * self.rows) else nothing
         return nothing
 
     def where(self, kept: npt.NDArray[np.bool_]) -> CellColumn:
@@ -718,15 +719,6 @@ def _formatted_ns(column: CellColumn, row: int, text: str, layout: str) -> int:
         moment = moment.replace(year=1970, month=1, day=1)
     passed = moment - datetime(1970, 1, 1, tzinfo=UTC)
     return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + passed.microseconds * 1000 + nanos
-
-
-def nanoseconds(column: CellColumn, unit_ns: int, last_ns: int | None) -> npt.NDArray[np.int64]:
-    """Return (n,) int64 ns, exact, of cells in units of `unit_ns`; SourceError unless each is later than the previous
-    one.
-
-    `last_ns` is the time of the row before the first one; None without one.
-    """
-    return TimeColumn("ns", unit_ns, last_ns=last_ns).nanoseconds(column)
 
 
 def numbers(column: CellColumn) -> npt.NDArray[np.float64]:

@@ -160,7 +160,8 @@ class FileTable(BaseModel):
 class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or the rate of the rows.
 
-    `fraction_column` is the fraction of a second, in `fraction_unit`, if `column` has whole seconds. A column counts
+    `fraction_column` is the fraction of a second, in `fraction_unit`, if `column` has whole seconds. `date_column` is
+    the date, if `column` is the time of day: `unit` describes both, with a space in between. A column counts
     `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time are separated
     by 1 ns. With `sort`, late rows are sorted by their times, and rows that the file contains twice are kept once
     (`imuarray.importers.row_order`). With `restarts`, times that step back continue from the row before: the clock was
@@ -182,6 +183,7 @@ class TimeTable(BaseModel):
     stamps: Literal["reading", "arrival"] = "reading"
     fraction_column: Column | None = None
     fraction_unit: Literal["ns", "us", "ms"] = "ns"
+    date_column: Column | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -197,6 +199,8 @@ class TimeTable(BaseModel):
             raise ValueError(
                 "fraction_column requires a column of unit 's', and can't be combined with wraps_at or sort"
             )
+        if self.date_column is not None and (not self.is_date or has_no_day(self.unit or "") or self.sort):
+            raise ValueError("date_column requires a unit of dates and times, and can't be combined with sort")
         if self.restarts and (self.sort or self.wraps_at is not None):
             raise ValueError("restarts can't be combined with sort or wraps_at, which explain falling times otherwise")
         if self.sort and (
@@ -213,6 +217,11 @@ class TimeTable(BaseModel):
     def is_date(self) -> bool:
         """True if the column contains dates or times of day."""
         return self.unit is not None and (self.unit == ISO or is_date_format(self.unit))
+
+    @property
+    def columns(self) -> list[str | int]:
+        """The column of times, and that of their fractions or dates, if any."""
+        return [column for column in (self.column, self.fraction_column, self.date_column) if column is not None]
 
 
 class ThermometerTable(BaseModel):
@@ -274,7 +283,8 @@ class SensorTable(LogColumn):
     `values` states whether they are counts or numbers in `unit`, which are converted to counts; without `sensitivity`
     and `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in
     `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
-    with `bits` they are two's complement of that number of bits, even if they were read as unsigned. A log stores codes
+    with `bits` they are two's complement of that number of bits, even if they were read as unsigned. `hexadecimal`
+    codes need no 0x. A log stores codes
     of up to 32 bits without loss: `bits`, or the number that range times sensitivity requires. Values of `columns`
     times `factor` are in `unit`; `signs` ("+-+") changes the sign of axes for which the columns have the opposite sign.
     `bandwidth_hz` is the configured -3 dB bandwidth of the chip, 0 if unknown. `gravity_columns` is the gravity that a
@@ -294,6 +304,7 @@ class SensorTable(LogColumn):
     values: Literal["counts", "physical"] | None = None
     offset: int = 0
     bits: Annotated[int, Field(ge=8, le=32)] | None = None
+    hexadecimal: bool = False
     factor: Positive | None = None
     signs: Annotated[str, Field(pattern=r"^[+-]{3}$")] = "+++"
     gravity_columns: Triad | None = None
@@ -481,9 +492,7 @@ class TableMap(BaseModel):
 
     def columns(self) -> Iterator[str | int]:
         """Yield every column in the map; some occur more than once."""
-        if self.time is not None and self.time.column is not None:
-            yield self.time.column
-            yield from [] if self.time.fraction_column is None else [self.time.fraction_column]
+        yield from [] if self.time is None else self.time.columns
         streamed: list[RowSettings] = [*self.recorded, *([self.reference] if self.reference else [])]
         for item in streamed:
             yield from columns_of(item)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -141,13 +142,13 @@ class RowGroup(NamedTuple):
     time_column: Reference | None
     kind: str | None
     items: tuple[RowSettings, ...]
-    fraction_column: Reference | None = None
+    second_column: Reference | None = None
     """The column of the fraction of a second."""
 
     @property
     def columns(self) -> list[Reference]:
         """Every column once, that of time first."""
-        named = [column for column in (self.time_column, self.fraction_column) if column is not None]
+        named = [column for column in (self.time_column, self.second_column) if column is not None]
         return list(dict.fromkeys([*named, *(column for item in self.items for column in columns_of(item))]))
 
 
@@ -160,7 +161,7 @@ def _streams(table_map: TableMap) -> list[RowGroup]:
         together.setdefault((column, item.kind), []).append(item)
     clock = table_map.clock
     return [
-        RowGroup(column, kind, tuple(those), clock.fraction_column if column == clock.column else None)
+        RowGroup(column, kind, tuple(those), next(iter(clock.columns[1:]), None) if column == clock.column else None)
         for (column, kind), those in together.items()
     ]
 
@@ -283,6 +284,8 @@ def _blank(cells: Sequence[CellColumn]) -> Booleans:
 def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> list[CellColumn]:
     """Return the cells of a sensor's axes, with factor, signs and gravity of the map applied."""
     triad = [cells[column] for column in sensor.columns]
+    if sensor.hexadecimal:
+        triad = [cell._replace(texts=list(map(_prefixed, cell.texts))) for cell in triad]
     is_plain = sensor.gravity_columns is None and sensor.attitude_columns is None
     if sensor.factor is None and sensor.signs == "+++" and is_plain:
         return triad
@@ -297,6 +300,23 @@ def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> lis
     return [
         CellColumn(cell.source, cell.label, cell.lines, (), column) for cell, column in zip(triad, values, strict=True)
     ]
+
+
+def _prefixed(code: str) -> str:
+    """Return a hexadecimal code with 0x, as `number_of` requires; other cells as they are."""
+    return f"0x{code.strip()}" if _HEXADECIMAL.fullmatch(code.strip()) else code
+
+
+_HEXADECIMAL = re.compile(r"[0-9A-Fa-f]{1,8}")
+
+
+def _dated(time: CellColumn, date: CellColumn) -> CellColumn:
+    """Return the times of day with their dates before them; SourceError unless both columns are texts."""
+    if time.values is not None or date.values is not None:
+        raise time.refuse(0, "times with a date_column must be texts")
+    return time._replace(
+        texts=[f"{day.strip()} {clock.strip()}" for day, clock in zip(date.texts, time.texts, strict=True)]
+    )
 
 
 _UNIT_LENGTH = 0.05
@@ -361,7 +381,8 @@ class _Stream:
     ) -> None:
         time = table_map.clock
         self.log, self.plan, self._time, self._headers = log, plan, time, headers
-        unit = "ns" if plan.fraction_column is not None else time.unit or "ns"
+        has_fraction = plan.second_column is not None and plan.second_column == time.fraction_column
+        unit = "ns" if has_fraction else time.unit or "ns"
         self._clock = TimeColumn(unit, time.ticks, time.wraps_at, time.ties, restarts=time.restarts)
         self._order = RowOrder(self._stamps) if time.sort and plan.time_column is not None else None
         self._last_stamp: Times = np.zeros(0, np.int64)
@@ -435,8 +456,11 @@ class _Stream:
         """Return (n,) ns from the time column, or from the rate."""
         if self.plan.time_column is not None:
             cell = cells[self.plan.time_column]
-            if self.plan.fraction_column is not None:
-                rest = TimeColumn(self._time.fraction_unit).stamps(cells[self.plan.fraction_column])
+            second = None if self.plan.second_column is None else cells[self.plan.second_column]
+            if second is not None and self._time.date_column is not None:
+                cell = _dated(cell, second)
+            elif second is not None:
+                rest = TimeColumn(self._time.fraction_unit).stamps(second)
                 cell = CellColumn(cell.source, cell.label, cell.lines, (), TimeColumn("s").stamps(cell) + rest)
             return self._clock.nanoseconds(cell)
         period_ns = 1_000_000_000 / Fraction(self._time.rate_hz or 1.0).limit_denominator(1_000_000)
