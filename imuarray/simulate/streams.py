@@ -87,7 +87,12 @@ class Stream:
 
     def generator(self, chunk: int = 0) -> np.random.Generator:
         """Return an independent generator for each `chunk`, for an unknown number of draws."""
-        return np.random.Generator(np.random.SFC64(np.random.SeedSequence((*self._entropy, chunk))))
+        words = np.concatenate([self._entropy_words, _words_of(chunk)])
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence(words)))
+
+    @cached_property
+    def _entropy_words(self) -> npt.NDArray[np.uint32]:
+        return np.concatenate([_words_of(number) for number in self._entropy])
 
     @cached_property
     def _normal_chunk(self) -> Callable[[int, int], Reals]:
@@ -175,3 +180,9 @@ def _words(name: tuple[str, ...]) -> tuple[int, ...]:
     """Return 128 bits as four words, unique to this name."""
     digest = hashlib.blake2b("\0".join(name).encode(), digest_size=16).digest()
     return tuple(int.from_bytes(digest[at : at + 4], "little") for at in range(0, 16, 4))
+
+
+def _words_of(number: int) -> npt.NDArray[np.uint32]:
+    """Return the words of a number, the lowest first: what SeedSequence makes of it, which takes longer."""
+    count = max(1, -(-number.bit_length() // 32))
+    return np.frombuffer(number.to_bytes(4 * count, "little"), "<u4").astype(np.uint32, copy=False)

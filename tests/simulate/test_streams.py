@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
+from imuarray.simulate.streams import CHUNK, DrawMemory, Stream, Streams
 from tests.selection import examples
 
 
@@ -41,6 +41,15 @@ def test_another_name_seed_or_boot_is_another_stream() -> None:
 def test_draws_of_a_unit_are_the_same_in_every_boot() -> None:
     assert Streams(3, 0).of_unit("S1", "bias").normal() == Streams(3, 9).of_unit("S1", "bias").normal()
     assert Streams(3).of_unit("S1", "bias").normal() != Streams(4).of_unit("S1", "bias").normal()
+
+
+@pytest.mark.parametrize("entropy", [(0,), (1 << 32, 5), (0x8123456789ABCDEF, 1, 0, 3), ((1 << 64) - 1, 1 << 31)])
+@pytest.mark.parametrize("chunk", [0, 7, 1 << 40])
+def test_the_seed_of_a_chunk_is_that_of_its_numbers(entropy: tuple[int, ...], chunk: int) -> None:
+    """NumPy's own seed of the numbers, as its documentation describes it: words of 32 bits, the lowest first."""
+    seed = np.random.SeedSequence((*entropy, chunk))
+    drawn = Stream(entropy, 1, np.float64).generator(chunk).random(4)
+    np.testing.assert_array_equal(drawn, np.random.Generator(np.random.SFC64(seed)).random(4))
 
 
 def test_rows_are_standard_normal_across_chunk_edges() -> None:
