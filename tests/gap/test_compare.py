@@ -40,7 +40,7 @@ from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.response import Nonlinearity, Scale
 from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.small_bench import SHORT, Run, prepared
+from tests.gap.small_bench import LINE, SHORT, Run, prepared, static
 from tests.gap.small_campaign import BASE, header, units
 
 Floats = npt.NDArray[np.float64]
@@ -70,10 +70,13 @@ def nothing() -> Comparison:
     return compared({}, 0, 80)
 
 
-@pytest.mark.slow
-def test_rate_of_false_alarms_with_common_replicates(nothing: Comparison) -> None:
-    """60 campaigns, each with its own fit, compared with the 80 replicates of another one: p <= 0.05 has a probability
-    of 4/81 over both; at most 14 have a probability of 0.9998 (beta-binomial: 60, 4, 77).
+@pytest.mark.parametrize(
+    ("campaigns", "most"),
+    [pytest.param(20, 6, marks=pytest.mark.slow), pytest.param(60, 14, marks=pytest.mark.campaign)],
+)
+def test_rate_of_false_alarms_with_common_replicates(nothing: Comparison, campaigns: int, most: int) -> None:
+    """Campaigns, each with its own fit, compared with the 80 replicates of another one: p <= 0.05 has a probability
+    of 4/81 over both; at most 6 of 20 have a probability of 0.9996, at most 14 of 60 of 0.9998 (beta-binomial: 4, 77).
     """
     bench = nothing.bench
 
@@ -81,10 +84,10 @@ def test_rate_of_false_alarms_with_common_replicates(nothing: Comparison) -> Non
         return [nothing.replicates]
 
     alarms = 0
-    for seed in range(60):
+    for seed in range(campaigns):
         _, campaign = recorded(units(seed), 1000 + seed)
         alarms += compare_with_base(bench, campaign, known, 80).localisation.is_gap
-    assert alarms <= 14
+    assert alarms <= most
 
 
 @pytest.mark.campaign
@@ -146,7 +149,8 @@ def test_a_tone_is_detected_on_its_axis() -> None:
 @pytest.mark.slow
 def test_sizes_have_the_unit_of_the_statistic() -> None:
     """0.06 g per g^2 along x: the mean of the faces +x and -x has an error of 0.06 g."""
-    bench, campaign = recorded({"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}, 3, Tumble(4.0, 1.0), "tumble")
+    more = {"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}
+    bench, campaign = prepared([("tumble", Tumble(4.0, 1.0))], ("A1", "A2"), more, 3)
     found = compare_with_base(bench, campaign, Run(bench), 40)
     told = where_of(
         StatisticReport(bench, campaign, found.pairs, ["tumble.h5"]),
@@ -201,7 +205,7 @@ def test_jobs_for_processes_can_be_pickled() -> None:
 
 @pytest.mark.slow
 def test_processes_give_identical_results() -> None:
-    bench, campaign = bare()
+    bench, campaign = static(LINE)
     alone = compare_with_base(bench, campaign, runner(bench), 40)
     with processes(2) as pool:
         together = compare_with_base(bench, campaign, runner(bench, pool), 40)

@@ -195,15 +195,10 @@ def test_noise_is_not_fitted_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_seed_gives_the_same_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
-    again = diagnosed(lined)
-    assert json.dumps(again.as_json()) == json.dumps(tone.as_json())
-
-
-@pytest.mark.slow
 def test_a_brief_diagnosis_lacks_only_overlays_and_the_next_experiment(
     lined: tuple[Recording, ...], tone: Diagnosis
 ) -> None:
+    """The same seed gives the same diagnosis."""
     brief = explain(compare(lined, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     assert (brief.overlays, brief.next_experiment) == ((), "")
     whole = replace(brief, next_experiment=tone.next_experiment)
@@ -281,7 +276,7 @@ def test_six_faces_identify_the_sensor_with_wrong_data(tmp_path: Path) -> None:
     assert found.verdict == "explained"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_common_wander_is_one_cause(tmp_path: Path) -> None:
     """A wander of 0.03 dps of both gyroscopes, of 5 s: 60 s determine its rate, rms over the root of its time, to a
     quarter; its final size is determined poorly by a few correlation times.
@@ -311,9 +306,9 @@ def test_a_turn_on_bias_is_named(tmp_path: Path) -> None:
     assert found.held_out == "held out: the second half of every phase of 6 logs"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_sensor_missing_from_the_held_out_log_is_diagnosed(tmp_path: Path) -> None:
-    """The second sensor is not in the held-out log: the first is diagnosed as usual."""
+    """The second sensor is not in the held-out log: the first is diagnosed as usual. The slow half has the reverse."""
     paths = [tmp_path / name for name in ("both.h5", "one.h5")]
     write_log(simulated(SHORT, ["G1", "G2"], {"G1": (LINE,)}), paths[0])
     write_log(simulated(SHORT, ["G1"], {"G1": (LINE,)}, boot=1), paths[1])
