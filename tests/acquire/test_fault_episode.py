@@ -147,7 +147,7 @@ MOMENTARY = ("reset", "torn", "mux_reset")
     ("every_s", "seconds"),
     [
         (None, 600),
-        pytest.param(5.3, 600, marks=pytest.mark.slow),
+        pytest.param(5.3, 600, marks=pytest.mark.campaign),
         pytest.param(1.7, 600, marks=pytest.mark.campaign),
         pytest.param(37.0, 600, marks=pytest.mark.campaign),
         pytest.param(None, 3600, marks=pytest.mark.campaign),

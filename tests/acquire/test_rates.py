@@ -24,7 +24,7 @@ from tests.selection import some
 
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 MS = 1_000_000
-RATES_HZ = some([10.0, 0.1, 0.3, 1.0, 2.0, 5.0, 9.0, 11.0, 50.0], 1)
+RATES_HZ = some([10.0, 0.1, 0.3, 1.0, 2.0, 5.0, 9.0, 11.0, 50.0], 1, 3)
 ALONE = {
     "adxl345": "address=0x53\nrange=2\n",
     "bma180": "address=0x40\nrange=2\n",

@@ -158,7 +158,7 @@ def missing(kind: str) -> list[Part]:
 
 
 @pytest.mark.parametrize("technique", some(TECHNIQUES, 1))
-@pytest.mark.parametrize("kind", some(["one sensor", "nothing", "every seventh row", "all in doubt", "frames"], 1))
+@pytest.mark.parametrize("kind", some(["one sensor", "nothing", "every seventh row", "all in doubt", "frames"], 1, 2))
 @pytest.mark.parametrize("jitter_s", some([0.001, 0.0], 1))
 def test_results_do_not_depend_on_blocks(write_run: WriteRun, technique: str, kind: str, jitter_s: float) -> None:
     """The missing rows cross the end of the first block of 1000."""

@@ -90,7 +90,7 @@ def test_a_new_bias_is_named(tmp_path: Path) -> None:
     assert np.allclose(found.causes[0].parameters["offset_dps"], [0.0, 0.0, 1.5], atol=0.25)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_increase_of_noise_is_named(tmp_path: Path) -> None:
     """0.05 and 0.04 dps add to 0.064: a quarter more."""
     found = since(tmp_path, (), (WhiteNoise(0.04),))

@@ -197,7 +197,7 @@ def test_stated_hours_include_the_logs() -> None:
         assert sum(motion.seconds for motion in offer.motions) / 3600 < offer.hours < 1
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_advice_with_the_full_menu(bench: Bench) -> None:
     """As above, with logs of full length."""
     found = searched(bench, "G1", Bias(0.5), TurnOnBias(0.5))
