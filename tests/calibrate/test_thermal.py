@@ -106,7 +106,17 @@ def test_intervals_on_a_curved_ramp_cover_the_slope_in_its_middle() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("degc", [RAMP, np.interp(RAMP_S, [0, 300, 600, 900, 1200, 2160], [24.0, 24, 42, 33, 50, 27])])
+@pytest.mark.parametrize(
+    "degc",
+    [
+        RAMP,
+        pytest.param(
+            np.interp(RAMP_S, [0, 300, 600, 900, 1200, 2160], [24.0, 24, 42, 33, 50, 27]),
+            marks=pytest.mark.campaign,
+            id="hair dryer",
+        ),
+    ],
+)
 def test_intervals_cover_the_slope_in_white_noise_and_random_walks(degc: Floats) -> None:
     """One warming, and a hair dryer; means of 10 s with white noise of 1 alone, and with a random walk that ends at
     0.7, at 2 and at 7 times it. Of 300 intervals of 95 % each in white noise 92.5 % to 99 % cover the slope, in all

@@ -18,7 +18,7 @@ from scipy.stats import binom, kstest
 
 from imuarray.characterise import allan_deviation, allan_fit
 from imuarray.characterise.allan_fit import TERMS, UNITS, USUAL, AllanEstimate, NoiseFit, Term, fit_noise, merge_similar
-from tests.selection import examples
+from tests.selection import examples, some
 
 INTERVAL_S = 0.0025
 ROWS, REPEATS = 8192, 250
@@ -87,7 +87,7 @@ def heavy(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("draw", "walk"), [(rounded, 0.0), (clipped, 0.0), (heavy, 0.0), (normal, 0.0), (normal, 0.004)]
+    ("draw", "walk"), some([(rounded, 0.0), (clipped, 0.0), (heavy, 0.0), (normal, 0.0), (normal, 0.004)], 2, 0)
 )
 def test_white_intervals_cover_for_every_distribution(draw: Any, walk: float) -> None:
     """White noise of 1500 rows, 500 times, alone or with a random walk: the interval of its density covers the truth.

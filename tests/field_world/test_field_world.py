@@ -171,7 +171,7 @@ def test_the_barometer_computes_the_example_of_its_data_sheet() -> None:
     assert again[1].item() == pytest.approx(69964, abs=4)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "name",
     [
@@ -183,6 +183,7 @@ def test_the_barometer_computes_the_example_of_its_data_sheet() -> None:
     ],
 )
 def test_a_control_has_no_gap(tmp_path: Path, name: str) -> None:
+    """Half a minute each; the slow half has a control of tests/bench_world."""
     write_case(CASES[name](), tmp_path)
     diagnosis = imuarray.diagnose(sorted((tmp_path / name).glob("*.h5")), seed=1)
     assert diagnosis.verdict == "no gap"

@@ -31,6 +31,7 @@ from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalScale, Thermometer
 from imuarray.simulate.effects.timing import OwnClock, Skew
 from imuarray.simulate.motion import HandShake, Heating, Tumble
+from tests.selection import some
 from tests.simulate.motion_world import MotionWorld
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -101,7 +102,7 @@ MOTIONS: dict[str, Motion] = {
 }
 
 
-@pytest.fixture(scope="module", params=MOTIONS)
+@pytest.fixture(scope="module", params=some(MOTIONS, 2, 0))
 def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     emulated, simulated = both(MOTIONS[request.param], tmp_path_factory.mktemp(request.param))
     yield emulated, simulated

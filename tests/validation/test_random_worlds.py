@@ -54,7 +54,7 @@ def recorded(folder: Path, seed: int, *puts: Put) -> Iterator[list[Log]]:
             9_005_084,  # a heating without any temperature, and no other excitation
         ],
         0,
-        4,
+        1,
     ),
 )
 def test_a_world_without_a_mechanism_has_no_gap(tmp_path: Path, seed: int) -> None:
