@@ -31,20 +31,17 @@ __all__ = [
     "driver_of",
 ]
 
+
+def _halves(**dies: type[Driver]) -> dict[str, type[Driver]]:
+    """Return the drivers of both halves of each die, by the names that configurations use, such as mpu6050_acc."""
+    return {f"{die}_{half}": driver for die, driver in dies.items() for half in ("acc", "gyro")}
+
+
 DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345,
     "bma180": Bma180,
     "l3g4200d": L3g4200d,
-    "mpu6050_acc": Mpu6050,
-    "mpu6050_gyro": Mpu6050,
-    "mpu6500_acc": Mpu6500,
-    "mpu6500_gyro": Mpu6500,
-    "mpu9250_acc": Mpu6500,
-    "mpu9250_gyro": Mpu6500,
-    "icm42688_acc": Icm42688,
-    "icm42688_gyro": Icm42688,
-    "lsm6dso_acc": Lsm6dso,
-    "lsm6dso_gyro": Lsm6dso,
+    **_halves(mpu6050=Mpu6050, mpu6500=Mpu6500, mpu9250=Mpu6500, icm42688=Icm42688, lsm6dso=Lsm6dso),
     "bmp180": Bmp180,
     "bmp280": Bmp280,
     "bmp388": Bmp388,
@@ -59,23 +56,13 @@ DRIVERS: dict[str, type[Driver]] = {
 FIFO_DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345Fifo,
     "l3g4200d": L3g4200dFifo,
-    "mpu6050_acc": Mpu6050Fifo,
-    "mpu6050_gyro": Mpu6050Fifo,
-    "mpu6500_acc": Mpu6500Fifo,
-    "mpu6500_gyro": Mpu6500Fifo,
-    "mpu9250_acc": Mpu6500Fifo,
-    "mpu9250_gyro": Mpu6500Fifo,
-    "icm42688_acc": Icm42688Fifo,
-    "icm42688_gyro": Icm42688Fifo,
-    "lsm6dso_acc": Lsm6dsoFifo,
-    "lsm6dso_gyro": Lsm6dsoFifo,
+    **_halves(
+        mpu6050=Mpu6050Fifo, mpu6500=Mpu6500Fifo, mpu9250=Mpu6500Fifo, icm42688=Icm42688Fifo, lsm6dso=Lsm6dsoFifo
+    ),
 }
 """Drivers of chips whose queue is drained (`fifo = true`)."""
 
-HIGH_RESOLUTION_DRIVERS: dict[str, type[Driver]] = {
-    "icm42688_acc": Icm42688HighResolution,
-    "icm42688_gyro": Icm42688HighResolution,
-}
+HIGH_RESOLUTION_DRIVERS = _halves(icm42688=Icm42688HighResolution)
 """Drivers of chips with a queue that delivers counts of more bits (`high_resolution = true`)."""
 
 

@@ -122,7 +122,8 @@ class DieQueue:
         self.clock = clock
         self.times = FifoClock(rate_hz)
         self._readers: dict[str, QueueReader] = {}
-        self._trusted = False
+        self._trusted = self.ran_over = False
+        self._drains = AcceptedDrains()
         self.overruns = 0
         """Number of drains without samples because the queue had overflowed."""
         self._shortest_ns = 1 << 62
@@ -195,6 +196,7 @@ class DieQueue:
 
     def _restart(self) -> None:
         self.times.restart()
+        self._drains = AcceptedDrains()
 
     def _flush(self) -> None:
         raise NotImplementedError
@@ -300,8 +302,6 @@ class Icm42688Queue(DieQueue):
         self.high_resolution, self.has_pulses = high_resolution, has_pulses
         self._stamp: int | None = None
         self._full = False
-        self.ran_over = False
-        self._drains = AcceptedDrains()
         self._period_us = 1e6 / nominal_rate_hz
 
     @property
@@ -320,7 +320,6 @@ class Icm42688Queue(DieQueue):
     def _restart(self) -> None:
         super()._restart()
         self._stamp, self._full = None, False
-        self._drains = AcceptedDrains()
 
     def _count(self) -> tuple[int, int]:
         return self._counted_in(self.registers.peek(icm42688.INT_STATUS, _FLAGS_AND_COUNT))
@@ -444,8 +443,6 @@ class MpuQueue(DieQueue):
         """`control`: USER_CTRL with the queue on; `table` has FIFO_EN, FIFO_COUNT_H, FIFO_R_W, INT_STATUS."""
         super().__init__(registers, clock, rate_hz)
         self._capacity, self._control, self._table = capacity, control, table
-        self._drains = AcceptedDrains()
-        self.ran_over = False
 
     def _flush(self) -> None:
         """Switch the queue off, empty it, and switch it on (INV-99); reading the flags clears them."""
@@ -476,7 +473,7 @@ class MpuQueue(DieQueue):
 
     def _restart(self) -> None:
         super()._restart()
-        self._drains, self.ran_over = AcceptedDrains(), False
+        self.ran_over = False
 
     def _put(self, records: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> None:
         count = len(records) // self.SIZE
@@ -537,8 +534,6 @@ class Lsm6dsoQueue(DieQueue):
         """`mode`: FIFO_CTRL4 with the queue on, `TEMPERATURES_HZ` among its samples."""
         super().__init__(registers, clock, rate_hz)
         self._mode, self._rate_hz = mode, rate_hz
-        self._drains = AcceptedDrains()
-        self.ran_over = False
         self._clocks = {half: FifoClock(rate_hz) for half in self.TAGS}
         self._temperature = b"\x00\x00"
 
@@ -550,9 +545,10 @@ class Lsm6dsoQueue(DieQueue):
         self._temperature = self.registers.peek(lsm6dso.OUT_TEMP_L, 2)
 
     def _restart(self) -> None:
+        super()._restart()
         for clock in self._clocks.values():
             clock.restart()
-        self._drains, self.ran_over = AcceptedDrains(), False
+        self.ran_over = False
 
     def _count(self) -> tuple[int, int]:
         """Return the number of words for samples: each half and the temperature are separate words."""
