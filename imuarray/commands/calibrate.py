@@ -81,8 +81,8 @@ def tumble(runs: tuple[Path, ...], **options: Any) -> None:
     from imuarray.commands.calibrate_tumble import print_report, report_of
 
     target = CalibrationOutput(**options)
-    with target.opened(runs) as logs, bars() as moved:
-        result = calibrate_tumble(*logs, progress=moved)
+    with target.opened(runs) as logs, bars() as advance:
+        result = calibrate_tumble(*logs, progress=advance)
         report = report_of(logs[0], result)
     target.write(result.calibration, report, print_report)
 
@@ -102,8 +102,8 @@ def noise(runs: tuple[Path, ...], **options: Any) -> None:
     from imuarray.commands.calibrate_noise import print_report, report_of
 
     target = CalibrationOutput(**options)
-    with target.opened(runs) as logs, bars() as moved:
-        calibration = calibrate_noise(*logs, known=target.existing(), progress=moved).stamped(logs)
+    with target.opened(runs) as logs, bars() as advance:
+        calibration = calibrate_noise(*logs, known=target.existing(), progress=advance).stamped(logs)
     target.write(calibration, report_of(calibration), print_report)
 
 

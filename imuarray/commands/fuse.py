@@ -108,14 +108,14 @@ def command(options: FuseOptions) -> None:
         selected = [log[name].name for name in options.only]
         if options.calibration_file:
             require_known_sensors(log, calibration, selected, str(options.calibration_file))
-        with bars() as moved:
+        with bars() as advance:
             inputs = prepare_inputs(
                 log,
                 calibration,
                 technique=None if options.evaluate else options.technique,
                 only=selected,
                 ranges=SENSITIVITIES,
-                progress=moved,
+                progress=advance,
             )
         if not options.causal:
             inputs = complete_responses(log, inputs)

@@ -138,7 +138,7 @@ their number to that of its next longest run: an axis at rest with little noise 
 
 OTHER_CODES = 5
 MOST_COMPARED = 4096
-"""Fewest codes of another axis during such a stop, in `MOST_COMPARED` rows: a quiet box keeps codes nearly."""
+"""Fewest codes of another axis during such a stop, in `MOST_COMPARED` rows: at rest all axes keep theirs."""
 
 FITS = 0.95
 """Least correlation between the rotations of accelerometers and gyroscope at which other axes than the map's fit."""
@@ -161,7 +161,7 @@ LISTED = 3
 """Maximum number of sensors of a quantity that are reported individually."""
 
 MOST_OF_A_TIME = 4.0
-"""Mean rows of a time above which times are doubted: a clock of ms doubles fast rows, one of s hides the rate."""
+"""Mean rows of equal time above which times are doubted: a clock of s hides the rate, one of ms hardly."""
 
 LOST_ROW = 1.5
 """Shortest gap after a single lost row, in usual intervals."""

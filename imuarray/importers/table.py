@@ -161,8 +161,8 @@ def _streams(table_map: TableMap) -> list[RowGroup]:
         together.setdefault((column, item.kind), []).append(item)
     clock = table_map.clock
     return [
-        RowGroup(column, kind, tuple(those), next(iter(clock.columns[1:]), None) if column == clock.column else None)
-        for (column, kind), those in together.items()
+        RowGroup(column, kind, tuple(group), next(iter(clock.columns[1:]), None) if column == clock.column else None)
+        for (column, kind), group in together.items()
     ]
 
 
@@ -377,7 +377,7 @@ class _Stream:
     """Sensors that share their rows, written into a log."""
 
     def __init__(
-        self, log: LogWriter, plan: RowGroup, table_map: TableMap, headers: dict[str, SensorHeader], wanted: set[int]
+        self, log: LogWriter, plan: RowGroup, table_map: TableMap, headers: dict[str, SensorHeader], ends: set[int]
     ) -> None:
         time = table_map.clock
         self.log, self.plan, self._time, self._headers = log, plan, time, headers
@@ -386,7 +386,7 @@ class _Stream:
         self._clock = TimeColumn(unit, time.ticks, time.wraps_at, time.ties, restarts=time.restarts)
         self._order = RowOrder(self._stamps) if time.sort and plan.time_column is not None else None
         self._last_stamp: Times = np.zeros(0, np.int64)
-        self._wanted = wanted
+        self._phase_rows = ends
         self.time_of: dict[int, int] = {}
         self.count = self.padding = 0
         self.first_ns = self.last_ns = 0
@@ -422,7 +422,7 @@ class _Stream:
         if self.count == 0:
             self.first_ns = int(time[0])
         inside = range(self.count, self.count + length)
-        self.time_of |= {row: int(time[row - self.count]) for row in self._wanted if row in inside}
+        self.time_of |= {row: int(time[row - self.count]) for row in self._phase_rows if row in inside}
         self.count += length
         self.last_ns = int(time[-1])
         for item in self.plan.items:

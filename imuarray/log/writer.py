@@ -666,7 +666,7 @@ def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[
 
 
 def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
-    """Remove a finished log's journal (with `keep`: return its new name), reserve, and copies of dead processes."""
+    """Remove a finished log's journal (`keep`: rename it, return the name), reserve, and copies of dead processes."""
     journal_copy = None
     if lock is not None and keep:
         journal_copy = lock.put_aside()

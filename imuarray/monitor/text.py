@@ -80,7 +80,7 @@ def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:
 
 
 def _sensor(view: SensorView) -> str:
-    means = " ".join(f"{value:8.3f}"[:8] for value in view.mean) if view.rows else "nothing came"
+    means = " ".join(f"{value:8.3f}"[:8] for value in view.mean) if view.rows else "no reading"
     if view.rows and view.silent_s is not None:
         means = f"silent {duration(view.silent_s)}"
     noise = f"{view.sd.max():7.4f}"[:7] if len(view.time) > 1 else ""

@@ -52,61 +52,61 @@ class ExperimentOptions:
     run: int = 1
 
 
-def static(wanted: ExperimentOptions) -> Motion:
+def static(options: ExperimentOptions) -> Motion:
     """Return a box at rest."""
-    return Still(wanted.up, wanted.seconds or _STATIC_S, wanted.temperature_degc)
+    return Still(options.up, options.seconds or _STATIC_S, options.temperature_degc)
 
 
-def tumble(wanted: ExperimentOptions) -> Motion:
+def tumble(options: ExperimentOptions) -> Motion:
     """Return a tumble over seven faces; if the time is short, the turns are shortened, too."""
     faces = len(ORDER)
-    temperatures = (wanted.temperature_degc,) * faces
-    if wanted.seconds is None:
+    temperatures = (options.temperature_degc,) * faces
+    if options.seconds is None:
         return Tumble(temperatures_degc=temperatures)
-    turn_s = min(_TURN_S, wanted.seconds / (4 * faces))
-    return Tumble((wanted.seconds - (faces - 1) * turn_s) / faces, turn_s, temperatures)
+    turn_s = min(_TURN_S, options.seconds / (4 * faces))
+    return Tumble((options.seconds - (faces - 1) * turn_s) / faces, turn_s, temperatures)
 
 
-def heating(wanted: ExperimentOptions) -> Motion:
+def heating(options: ExperimentOptions) -> Motion:
     """Return the paper's temperature profile, all times scaled."""
-    whole = Heating(up=wanted.up)
-    return Heating(scale=wanted.seconds / whole.seconds, up=wanted.up) if wanted.seconds else whole
+    whole = Heating(up=options.up)
+    return Heating(scale=options.seconds / whole.seconds, up=options.up) if options.seconds else whole
 
 
-def turn_on(wanted: ExperimentOptions) -> Motion:
+def turn_on(options: ExperimentOptions) -> Motion:
     """Return one run of a turn-on series."""
-    return turn_on_run(wanted.run, wanted.seconds or TURN_ON_S, wanted.temperature_degc)
+    return turn_on_run(options.run, options.seconds or TURN_ON_S, options.temperature_degc)
 
 
-def motion(wanted: ExperimentOptions) -> Motion:
+def motion(options: ExperimentOptions) -> Motion:
     """Return a box at rest, moved, and at rest again; or the motion of a file. SourceError for an unreadable file."""
-    if wanted.drive not in DRIVES:
-        if not Path(wanted.drive).exists():
-            near = guess(wanted.drive, DRIVES) or guess_file(wanted.drive)
+    if options.drive not in DRIVES:
+        if not Path(options.drive).exists():
+            near = guess(options.drive, DRIVES) or guess_file(options.drive)
             raise SourceError(
-                f"{wanted.drive}: no such file; allowed are {', '.join(DRIVES)} and a trajectory file{near}"
+                f"{options.drive}: no such file; allowed are {', '.join(DRIVES)} and a trajectory file{near}"
             )
-        moved = load_trajectory(Path(wanted.drive))
-        if wanted.seconds is not None and wanted.seconds > moved.seconds + 1e-9:
-            raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are required")
+        moved = load_trajectory(Path(options.drive))
+        if options.seconds is not None and options.seconds > moved.seconds + 1e-9:
+            raise SourceError(f"{options.drive}: lasts {moved.seconds:g} s; {options.seconds:g} s are required")
         return moved
-    return DRIVES[wanted.drive](wanted)
+    return DRIVES[options.drive](options)
 
 
-def hand(wanted: ExperimentOptions) -> Motion:
+def hand(options: ExperimentOptions) -> Motion:
     """Return a box that is shaken by hand."""
-    if wanted.seconds is None:
-        return HandShake(temperature_degc=wanted.temperature_degc)
-    still_s = wanted.seconds * _REST_SHARE
-    return HandShake(still_s=still_s, motion_s=wanted.seconds - 2 * still_s, temperature_degc=wanted.temperature_degc)
+    if options.seconds is None:
+        return HandShake(temperature_degc=options.temperature_degc)
+    still_s = options.seconds * _REST_SHARE
+    return HandShake(still_s=still_s, motion_s=options.seconds - 2 * still_s, temperature_degc=options.temperature_degc)
 
 
-def vehicle(wanted: ExperimentOptions) -> Motion:
+def vehicle(options: ExperimentOptions) -> Motion:
     """Return a drive with bends."""
-    if wanted.seconds is None:
-        return Vehicle(temperature_degc=wanted.temperature_degc)
-    still_s = wanted.seconds * _REST_SHARE
-    return Vehicle(still_s=still_s, drive_s=wanted.seconds - 2 * still_s, temperature_degc=wanted.temperature_degc)
+    if options.seconds is None:
+        return Vehicle(temperature_degc=options.temperature_degc)
+    still_s = options.seconds * _REST_SHARE
+    return Vehicle(still_s=still_s, drive_s=options.seconds - 2 * still_s, temperature_degc=options.temperature_degc)
 
 
 DRIVES: Mapping[str, Callable[[ExperimentOptions], Motion]] = MappingProxyType({"hand": hand, "vehicle": vehicle})
