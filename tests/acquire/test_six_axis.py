@@ -142,11 +142,13 @@ MIXED = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_array_of_old_and_new_chips_is_logged_fused_and_diagnosed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Logged, calibrated, fused and diagnosed: no effect is diagnosed that the emulated chips do not have."""
+    """No effect is diagnosed that the emulated chips do not have. The slow half diagnoses a part of the array of
+    `test_mixed_array`.
+    """
     config, tumble, still = tmp_path / "mixed.toml", tmp_path / "tumble.h5", tmp_path / "still.h5"
     calibration, fused = tmp_path / "cal.toml", tmp_path / "fused.h5"
     config.write_text(MIXED)

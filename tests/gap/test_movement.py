@@ -387,7 +387,7 @@ def test_a_motion_between_detected_rests_is_compared(
         np.testing.assert_allclose([moving.start_ns * 1e-9, moving.end_ns * 1e-9], [4.0, 8.0], atol=0.6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_turns_of_the_held_out_log_alone_are_simulated(tmp_path: Path) -> None:
     """Two logs of one kind, of which the second, with turns, is held out: its sensors are simulated together, and those
     that the search does not fit have no parameters in a replicate.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.gap.diagnose import diagnose
@@ -22,7 +22,7 @@ from imuarray.gap.statistics.probes.probe import TurnProbe
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.posed import PoseSequence, carry_up, neighbours
-from tests.selection import some
+from tests.selection import examples, some
 
 Floats = npt.NDArray[np.float64]
 SECOND, GRAVITY = 1_000_000_000, 9.80665
@@ -55,6 +55,7 @@ def test_the_up_direction_rotates_opposite_to_the_box() -> None:
     np.testing.assert_allclose(quarter(2, (1, 0, 0)).up_after, [0, -1, 0], atol=1e-12)
 
 
+@settings(max_examples=examples(30))
 @given(st.tuples(*[st.floats(0.6, 1.6)] * 3))
 def test_factors_are_the_inverse_of_the_scale(scale: tuple[float, float, float]) -> None:
     read = [turn._replace(rate=turn.rate * scale) for turn in SIX]
@@ -210,7 +211,7 @@ def test_the_up_direction_in_a_movement_is_integrated_from_both_ends(tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("others", [0, 1])
+@pytest.mark.parametrize("others", some([0, 1], 1, 0))
 def test_the_gyroscope_with_permuted_axes_is_named(tmp_path: Path, others: int) -> None:
     """Two gyroscopes differ from each other; the turns determine which is wrong, or that a single one is."""
     responses = {"G1": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])}
