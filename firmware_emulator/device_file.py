@@ -387,9 +387,7 @@ def identity(status: os.stat_result) -> Identity:
 
 
 def with_address(argument: Any, call: Callable[[int], int]) -> Any:
-    """Call `call` with a Python argument as `fcntl.ioctl` does: a number is passed unchanged, a buffer by its address,
-    and immutable bytes as a copy, which is then the result.
-    """
+    """Call `call` as `fcntl.ioctl` does: a number unchanged, a buffer by address, bytes as a copy, the result."""
     if isinstance(argument, int):
         return call(argument)
     if isinstance(argument, bytes):

@@ -23,9 +23,7 @@ TIME_OUT_NS = 30_000_000
 
 
 class FaultyMux(Pca9544aChip):
-    """A multiplexer that sometimes ignores a command or carries out another one; with `reads_right` its control byte
-    reads back as written, although it had no effect.
-    """
+    """A multiplexer that ignores a command or obeys another; with `reads_right` it reads back as written."""
 
     def __init__(
         self,

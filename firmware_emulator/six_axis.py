@@ -134,9 +134,7 @@ class Half(NamedTuple):
 
 
 class Die(NamedTuple):
-    """The properties of a six-axis chip: its class, and for both halves, accelerometer first, the first register of the
-    triad and the tolerances of the data sheet.
-    """
+    """A six-axis chip: its class, and of both halves, accelerometer first, the first register and tolerances."""
 
     build: Callable[..., SixAxis]
     first: tuple[Register, Register]

@@ -64,9 +64,7 @@ class UsbDevice(Protocol):
     identity: UsbIdentity
 
     def control(self, setup: Setup, data: bytes) -> bytes | None:
-        """Carry out one control transfer: `data` is its data stage in the direction to the device, the returned bytes
-        are that in the direction to the host; None stalls.
-        """
+        """Carry out a control transfer with `data` to the device; return the bytes to the host, or None to stall."""
 
     def reset(self) -> None:
         """Note that the client has disconnected, perhaps in the middle of a frame."""

@@ -96,9 +96,7 @@ class Bmp388Chip(CyclicBarometer):
 
     @property
     def duration_ns(self) -> int:
-        """Return the time of a measurement: 234 us, plus 392 us and 2020 us per sample for the pressure, plus 163 us
-        and 2020 us per sample for the temperature (BMP-209).
-        """
+        """Return the time: 234 us, 392 us and 2020 us per sample of pressure, 163 and 2020 of temperature (BMP-209)."""
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         pressure = 392_000 + (2_020_000 << facts.PRESSURE_OVERSAMPLING.of(oversampling))
         temperature = 163_000 + (2_020_000 << facts.TEMPERATURE_OVERSAMPLING.of(oversampling))

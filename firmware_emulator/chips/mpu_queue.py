@@ -90,9 +90,7 @@ def _read_device(device: Target, command: bytes, count: int, at_ns: int) -> byte
 
 
 def swapped(data: bytes, first_is_alone: int) -> bytes:
-    """Return the bytes with each pair swapped. With `first_is_alone`, the first byte is the end of a pair and stays;
-    the last one stays if its pair is incomplete.
-    """
+    """Return the bytes with each pair swapped, except for a first byte that is alone and an incomplete last pair."""
     turned = bytearray(data)
     for index in range(first_is_alone, len(data) - 1, 2):
         turned[index], turned[index + 1] = turned[index + 1], turned[index]

@@ -254,9 +254,7 @@ class Site:
         return x, y, z
 
     def add(self, key: str, g: float, dps: float, course: Callable[[int, WorldStimulus], float]) -> None:
-        """Add an error to the signal: `g` or `dps`, averaged over the axes, along the direction of `key`, times the
-        `course` at the instant, which may depend on the stimulus.
-        """
+        """Add `g` or `dps` times the `course` at the instant, along the direction of `key`, to the signal."""
         direction, size = self.direction(key), self.by_unit(g, dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:

@@ -374,9 +374,7 @@ class SampleBuffer:
         self._watch_still = self.frozen_reading is not None
 
     def frozen_since(self) -> int | None:
-        """Return the row since which the reading has been constant for too long to be chance; None otherwise. Rows that
-        are already written are counted, but can no longer be flagged.
-        """
+        """Return the row since which the reading has been constant too long for chance, or None; written rows count."""
         rows, needed, oldest = len(self.times_ns), self.frozen_rows, self._since_set_up
         if rows == oldest or rows - oldest + self._written_run < needed:
             return None

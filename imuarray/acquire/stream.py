@@ -208,9 +208,7 @@ PAUSE_NS = 3_000_000_000
 
 
 def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
-    """Return whether `Streaming` records these routes: they are on a microcontroller that can drain every queue among
-    them by itself. Otherwise all of them are polled through the link.
-    """
+    """Return whether `Streaming` records these routes: on a microcontroller that can drain every queue of them."""
     if not isinstance(bus, SerialBus):
         return False
     queues = [unattended_queue_of(route.driver) for route in routes if route.sensor.fifo]

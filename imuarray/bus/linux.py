@@ -113,9 +113,7 @@ class LinuxBus:
         fcntl.ioctl(self._adapter.fd, I2C_TIMEOUT, max(1, round(self._timeout_s * 100)))
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """Transfer as `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
-        LNX-33). OSError with ENODEV while the adapter is removed.
-        """
+        """Transfer as `Bus.transfer`; ValueError beyond a message (16 bits: LNX-33), ENODEV while it is unplugged."""
         block = self._prepared(address, write, read)
         if self._file < 0:
             self._find_again()

@@ -157,9 +157,7 @@ class SerialBus:
         self._transact(link.SELECT, payload, 0, f"chip select {select} in mode {mode} at {clock_hz} Hz")
 
     def start(self, lists: Sequence[PollList], period_us: int, prepare: Callable[[], None] | None = None) -> None:
-        """Start to execute these lists, frame after frame; OSError if the microcontroller refuses or has no room.
-        `prepare` is called when it has the lists, right before the first frame.
-        """
+        """Execute these lists frame after frame, after `prepare`; OSError if the microcontroller refuses."""
         size = link.request_bytes(lists)
         if len(lists) > self.capacity.lists or size > self.capacity.request_bytes:
             raise OSError(

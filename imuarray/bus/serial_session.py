@@ -220,9 +220,7 @@ _NONE: Times = np.empty(0, np.int64)
 
 
 class Data(NamedTuple):
-    """Data of the running stream, in its order: frames, their widened numbers (n,), and the times (n,) at which they
-    were sent, in microseconds of the widened counter.
-    """
+    """Data of the running stream in order: frames, widened numbers (n,), times (n,) of sending in counter us."""
 
     frames: list[Frame]
     numbers: Times

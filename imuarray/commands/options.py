@@ -126,9 +126,7 @@ def output_option(*, folder: bool = False, **settings: Any) -> Any:
 
 
 def takes(options: type[_Options]) -> Callable[[Callable[[_Options], _Result]], Callable[..., _Result]]:
-    """Return a decorator of a function of one argument, an instance of the dataclass `options`: the parameters of the
-    command are the fields of the class, in their order.
-    """
+    """Return a decorator of a function of one dataclass `options`, whose fields are the command's parameters."""
 
     def decorate(function: Callable[[_Options], _Result]) -> Callable[..., _Result]:
         @wraps(function)
@@ -243,9 +241,7 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 
 @contextmanager
 def output_folder(folder: Path, names: Sequence[str], force: bool) -> Iterator[None]:
-    """Make a folder as `prepare_folder` does. If the work in the block fails or is interrupted, a folder that did not
-    exist before is removed again, unless files are in it.
-    """
+    """Make a folder as `prepare_folder` does; if the block fails, remove it again if it is new and empty."""
     is_new = not folder.exists()
     prepare_folder(folder, names, force)
     try:
@@ -307,9 +303,7 @@ def bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 class Steps:
-    """Progress of work in several steps: a bar for each, or, without a terminal, a line on standard error every few
-    seconds, even without progress. A context manager.
-    """
+    """Progress of work in several steps: a bar for each, or a line every few seconds. A context manager."""
 
     def __init__(self) -> None:
         self._label, self._done, self._length, self._begin_s = "", 0, 0, time.monotonic()
@@ -372,9 +366,7 @@ def signal_handlers(handlers: Mapping[int, Any]) -> Iterator[None]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise KeyboardInterrupt as Ctrl-C does, so that everything is cleaned up. A SIGHUP that is
-    ignored (nohup) stays ignored. Does nothing outside the main thread.
-    """
+    """Let SIGTERM and an unignored SIGHUP raise KeyboardInterrupt, as Ctrl-C does, in the main thread."""
     usual = [number for number in _ENDING[1:] if signal.getsignal(number) is signal.SIG_DFL]
     with signal_handlers(dict.fromkeys(usual, signal.default_int_handler) if _in_main_thread() else {}):
         yield

@@ -88,9 +88,7 @@ class Mmc5983(ChipDriver):
         self.registers.poke(setting.register, setting.value)
 
     def self_test(self) -> SelfTest:
-        """Check that SET and RESET reverse the elements: half the difference of the readings after them is the field,
-        their mean is the offset of the bridges (MMC-14).
-        """
+        """Check that SET and RESET reverse the elements: half the difference after them is the field (MMC-14)."""
         self.configure()
         field, middle = self._flipped / self.sensitivity, self._bridge / self.sensitivity
         strength = float(np.linalg.norm(field))

@@ -178,9 +178,7 @@ class QueuedHalf(SixAxisHalf):
     def with_marks(
         self, decoded: DecodedBursts, marks: Booleans, ages_s: float | Floats | None = None
     ) -> DecodedBursts:
-        """Return `decoded` with the time from the pulse to each of the rows that `marks` (n,) selects: `ages_s`, or
-        half a period for a chip that does not measure it.
-        """
+        """Return `decoded` with the time from the pulse to the rows that `marks` (n,): `ages_s`, or half a period."""
         ages_s = 0.5 / self.rate_hz if ages_s is None else ages_s
         return decoded._replace(compensated={SYNC_PULSE: np.where(marks, ages_s, np.nan)})
 

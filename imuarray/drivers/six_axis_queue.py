@@ -216,9 +216,7 @@ class QueueRequest(NamedTuple):
 
 @runtime_checkable
 class UnattendedQueue(Protocol):
-    """A queue that a microcontroller without drivers drains: by one transaction, whose length need not match the count,
-    or by a count, the counted packets, and flags.
-    """
+    """A queue that a microcontroller drains by one transaction, or by a count, the counted packets, and flags."""
 
     ran_over: bool
     """True if it had overflowed before the samples that were accepted last."""
@@ -265,9 +263,7 @@ class AcceptedDrains:
         return 0 if self._at_ns is None else at_ns - self._at_ns
 
     def is_missing(self, count: int, taken: float, slack: float = _UNEVEN_SAMPLES) -> bool:
-        """Return whether the count of packets shows that a drain is missing, if the chip took about `taken` samples
-        since the last one; always True before the first.
-        """
+        """Return whether a drain is missing, by the count of packets after about `taken` samples; True at first."""
         return self._at_ns is None or self._unread + taken - count > slack + _UNEVEN_SHARE * taken
 
 

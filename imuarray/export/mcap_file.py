@@ -146,9 +146,7 @@ class _ChannelStream:
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write all tables, phases and events to `path`, in SI unless other units are requested; ExportError for an epoch
-    that is not a date, and for units that ROS 2 does not allow.
-    """
+    """Write all tables, phases and events to `path`, by default in SI; ExportError for a wrong epoch or unit."""
     for_ros2 = request.tool == "ros2"
     if for_ros2 and request.units not in (None, "si"):
         raise ExportError(f"{path}: messages of ROS 2 are in SI; leave units out")

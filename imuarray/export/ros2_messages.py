@@ -93,9 +93,7 @@ Cells = Mapping[str, npt.NDArray[np.float64]]
 
 
 class Topic(NamedTuple):
-    """A topic of a bag: its name and type, its table, the columns that it needs, and the function that computes the
-    numbers (n, k) of its messages; a row with nan has no message.
-    """
+    """A topic of a bag: name, type, table, columns, and the function of its messages' numbers (n, k), nan: none."""
 
     name: str
     kind: str

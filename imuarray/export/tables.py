@@ -23,9 +23,7 @@ ROWS = 1 << 14
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table with one number per row, or one for each of `cells`; `kind` is its numpy type, `unit` is
-    spelled as in CF ("counts" for raw values, "1" for flags).
-    """
+    """A column with a number per row, or per `cells`; `kind` is its numpy type, `unit` as in CF ("1" for flags)."""
 
     name: str
     kind: str

@@ -92,9 +92,7 @@ class CellColumn(NamedTuple):
         return np.array([text[-1:] not in _DIGITS and text.strip().lower() in MISSING for text in self.texts], bool)
 
     def torn(self) -> npt.NDArray[np.bool_]:
-        """Return (n,) which cells are text in the place of a number, as a damaged line has it; none unless they are
-        rare, because a column of words is not one of readings.
-        """
+        """Return (n,) which cells are text in place of a number, as on a damaged line; none unless they are rare."""
         nothing = np.zeros(self.rows, bool)
         is_excerpt = self.rows < FEWEST_WHOLE_ROWS and (not self.rows or self.lines[0] <= FEWEST_WHOLE_ROWS)
         if self.values is not None or is_excerpt:
@@ -445,9 +443,7 @@ _LOOKED_AT = 64
 
 
 def is_utf16(data: bytes) -> bool:
-    """Return whether a text begins with a byte order mark of UTF-16 and has zero bytes as UTF-16 does; the bytes from a
-    serial port while a board starts may be equal to the mark.
-    """
+    """Return whether a text begins with a byte order mark of UTF-16, and has zero bytes as UTF-16 does."""
     return data[:2] in _UTF16 and (len(data) < _LOOKED_AT or data[2:_LOOKED_AT].count(0) > _LOOKED_AT // 4)
 
 
@@ -475,9 +471,7 @@ Blocks = Iterator[tuple[CellBlock, list[int]]]
 
 
 class CodeConversion(NamedTuple):
-    """The conversion of cells into counts of `count_bits`: minus `offset`, or as two's complement of `bits`; with a
-    `sensitivity` (counts per unit) the cells are in a unit.
-    """
+    """The conversion of cells into counts of `count_bits`, by `sensitivity`, `offset` or two's complement of `bits`."""
 
     sensitivity: float | None = None
     offset: int = 0

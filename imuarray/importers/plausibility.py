@@ -762,9 +762,7 @@ def radii_of(log: Log) -> dict[str, float]:
 
 
 def turns_of(log: Log) -> float | None:
-    """Return the factor by which a log's first gyroscope must be multiplied to agree with the rotation of gravity in
-    its first accelerometer; None if it cannot be determined.
-    """
+    """Return the factor by which a log's first gyroscope agrees with its first accelerometer's rotation, or None."""
     pair = [next(iter(log.of(quantity)), None) for quantity in INERTIAL]
     if any(sensor is None or len(sensor) < FEWEST_ROWS or not sensor.sensitivity for sensor in pair):
         return None

@@ -52,9 +52,7 @@ class RowCache:
         self._lock = Lock()
 
     def use(self, size_bytes: int) -> None:
-        """Keep rows from now on. If the log has more bytes than the limit, keep only `RECENT_BYTES`, because a pass
-        over all rows would not find any row of the previous pass.
-        """
+        """Keep rows from now on; of a log beyond the limit, only `RECENT_BYTES`."""
         self.used = True
         if size_bytes > self._limit_bytes:
             self._limit_bytes = min(self._limit_bytes, RECENT_BYTES)

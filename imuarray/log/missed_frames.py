@@ -56,9 +56,7 @@ def duration_s(frames: int, missed: int, rate_hz: float) -> float:
 
 
 def missed_by_events(events: Iterable[Event]) -> int | None:
-    """Return the number of missed frames according to the events, in the order in which they were recorded; None if
-    they include a total of a fault that began in the previous log.
-    """
+    """Return the number of missed frames according to the events; None if they total an earlier log's fault."""
     missed, first = 0, None
     for event in events:
         match = MISSED.match(event.message) if event.kind == "late" and not event.sensor else None

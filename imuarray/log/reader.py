@@ -254,9 +254,7 @@ class Log:
 
     @property
     def motion_track(self) -> Track | None:
-        """The track that describes the motion of the box: the truth, else the reference; None if it has neither a force
-        nor a rate, for example a reference of the temperature alone.
-        """
+        """The track of the box's motion: the truth, else the reference; None if it has neither a force nor a rate."""
         tracks = (track for track in (self.truth, self.reference) if track is not None)
         moving = (track for track in tracks if (track.specific_force, track.angular_rate) != (None, None))
         return next(moving, None)
@@ -305,9 +303,7 @@ class Log:
         return {name: sensor.to_pandas(calibration, phase=phase) for name, sensor in self.sensors.items()}
 
     def plot(self, sensors: Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
-        """Return the recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.
-        MissingExtraError without matplotlib (extra "report").
-        """
+        """Return a figure with a panel per sensor (`sensors`: only these), in SI, box frame. MissingExtraError."""
         from imuarray.log.datasets import log_figure
 
         return log_figure([self[name] for name in sensors or self.sensors], calibration)

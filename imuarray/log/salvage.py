@@ -195,9 +195,7 @@ class Salvage:
             length = next(windows, length)
 
     def is_torn(self, position: int) -> bool:
-        """Return whether the bytes from `position` to the end are the result of a crash or a power cut: the first bytes
-        of a block, and zeros of pages that never reached the disk.
-        """
+        """Return whether the bytes from `position` on are those of a power cut: a block's beginning, and zeros."""
         length = self._end - position
         size = self._declared(self._read_bytes(OVERHEAD, position))
         if length < OVERHEAD or (size is not None and OVERHEAD + size > length):

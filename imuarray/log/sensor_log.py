@@ -378,9 +378,7 @@ def _reopen(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorL
 
 
 def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
-    """Return the first row of an increasing column whose time is `at_ns` or later, among its first `rows` (None: all);
-    by bisection, reading one chunk at the end.
-    """
+    """Return the first of `rows` (None: all) of an increasing column whose time is `at_ns` or later, by bisection."""
     low, high = 0, int(time.shape[0]) if rows is None else rows
     while high - low > 4096:
         middle = (low + high) // 2

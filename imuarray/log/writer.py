@@ -375,9 +375,7 @@ class LogWriter:
         return () if self._live is not None else tuple(self._draft.notes.phases)
 
     def begins(self, phase: Phase) -> None:
-        """Name a stretch of time that ends at `phase.end_ns` at the latest, so that a log that is interrupted has it
-        too. `phase` with the same start and name ends it.
-        """
+        """Name a stretch of time until `phase.end_ns` at the latest; `phase` with the same start and name ends it."""
         self._put(len(self._groups) - 1, note_columns(OpenPhase(*phase)))
 
     def event(self, event: Event) -> None:

@@ -192,9 +192,7 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
-    """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" for the field `offset`.
-    The keys that all effects have in common are last.
-    """
+    """Return the keys of an effect's table in this unit, common keys last: "offset_dps" for the field `offset`."""
     ordered = sorted(fields(kind), key=lambda item: item.name == "spans")
     return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in ordered}
 

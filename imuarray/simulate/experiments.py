@@ -187,9 +187,7 @@ def with_effects(
 
 
 def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -> Iterator[str]:
-    """Yield remarks on sensors without effects in the model, on parts of the model that apply to no sensor, and on a
-    recorded log that does not state how the box moved.
-    """
+    """Yield remarks on sensors without effects, on unused parts of the model, and on a log of unknown motion."""
     triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
     ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]
     if ideal:

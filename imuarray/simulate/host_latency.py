@@ -79,9 +79,7 @@ def lost_rows(line: Timeline) -> tuple[tuple[int, int, int], ...]:
 
 
 def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
-    """Return the `lines` of recorded `sensors` with the host's delays, which are estimated from the times of all of
-    them; a timeline without delays is returned unchanged.
-    """
+    """Return the `lines` of recorded `sensors` with the host's delays, estimated from the times of all, if any."""
     names = list(lines)
     recorded = [sensors[name] for name in names]
     windows = _windows(recorded)

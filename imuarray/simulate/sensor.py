@@ -74,9 +74,7 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The data that all triads of a simulation share: the motion, the random streams, the function that returns a
-    neighbour's codes by name and rows, and the type of the numbers.
-    """
+    """The data that all triads share: motion, random streams, codes of neighbours by name and rows, type of numbers."""
 
     motion: Motion
     streams: Streams
@@ -328,9 +326,7 @@ class SimulatedSensor:
 
 
 class SimulatedBarometer:
-    """A barometer without effects: the data sheet's example part with the data sheet's noise. A chip that
-    `imuarray.barometer` does not have is simulated as a BMP180.
-    """
+    """A barometer without effects: the data sheet's example part and noise; of an unknown chip, those of the BMP180."""
 
     def __init__(self, header: SensorHeader, timeline: Timeline, motion: Motion, streams: Streams) -> None:
         self._barometer = BAROMETERS.get(header.chip, BAROMETERS["bmp180"])

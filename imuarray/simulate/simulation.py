@@ -165,9 +165,7 @@ def effects_of(
 
 
 def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> SensorHeader:
-    """Return the position and orientation of a sensor with these effects: those of its header, or of another sensor
-    whose place it has. ValueError if there is no such sensor.
-    """
+    """Return position and orientation of a sensor, or of that whose place these effects give it; else ValueError."""
     for effect in effects:
         if isinstance(effect, ChannelSwap) and effect.kind == "place" and effect.sensor:
             if effect.sensor not in plan.sensors:

@@ -30,9 +30,7 @@ Value = TypeVar("Value")
 
 
 class DrawMemory:
-    """A cache of the latest results of draws, limited in bytes, for many simulations of the same units: models that are
-    compared with the same random numbers do not draw them again.
-    """
+    """A cache of the latest draws, limited in bytes: models that are compared draw the same numbers once."""
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes = most_bytes

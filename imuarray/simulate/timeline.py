@@ -169,9 +169,7 @@ class LogTimes:
 
 @dataclass(frozen=True, eq=False)
 class GapFilledTimes:
-    """The rows of a recorded sensor including those that it lost: `missing` (h,) rows, evenly spaced, precede its rows
-    `before` (h,), which ascend and do not include the first one.
-    """
+    """The rows of a recorded sensor: `missing` (h,) rows, evenly spaced, precede its rows `before` (h,)."""
 
     recorded: Timeline
     before: Integers
