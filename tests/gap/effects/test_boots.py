@@ -115,7 +115,7 @@ def test_another_range_from_a_row_of_a_tumble_on_is_suggested() -> None:
     assert first.onset_s == pytest.approx(70.0, abs=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_another_range_with_an_onset_in_each_log_is_suggested() -> None:
     """A supply with occasional dips: the second log has its own onset and the same range."""
     dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]

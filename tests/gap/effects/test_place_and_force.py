@@ -222,7 +222,7 @@ def test_no_exchange_or_response_is_suggested_without_one() -> None:
         1,
     ),
 )
-@pytest.mark.parametrize("is_exchange", some([True, False], 1))
+@pytest.mark.parametrize("is_exchange", some([True, False], 1, 0))
 def test_temporary_readings_of_another_sensor_are_suggested(
     kind: str, spans: tuple[tuple[int, float, float], ...], is_exchange: bool
 ) -> None:
@@ -245,7 +245,7 @@ def test_temporary_readings_of_another_sensor_are_suggested(
         assert trial.opposite_fitted.offset == pytest.approx((-1.0,) * 3, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_exchange_from_a_moment_of_a_tumble_is_suggested() -> None:
     """Each face occurs once, so that no level is repeated; both logs after the moment are exchanged."""
     acting = spans_of(((0, 70.0, math.inf), (1, 0.0, math.inf)))
@@ -258,7 +258,7 @@ def test_an_exchange_from_a_moment_of_a_tumble_is_suggested() -> None:
     assert first[1] == pytest.approx(70.0, abs=5.0)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_exchange_in_any_log_is_suggested() -> None:
     """Each segment of two accelerometers of different orientation identifies its sensor: the whole log at rest and the
     end of the tumble, in any order of the logs.

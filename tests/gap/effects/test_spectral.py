@@ -275,7 +275,7 @@ def test_logs_with_less_noise_on_all_axes_suggest_a_filter() -> None:
     assert trial.fitted.rms == pytest.approx((0.15,) * 3, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_noise_of_most_logs_above_that_of_a_quiet_log_is_suggested() -> None:
     """0.05 dps in one log at rest and 0.15 dps in two others: the fit is that of these two."""
     noisy = WhiteNoise((0.05 * math.sqrt(8),) * 3, spans=spans_of(((1, 0.0, math.inf), (2, 0.0, math.inf))))

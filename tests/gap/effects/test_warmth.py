@@ -76,7 +76,7 @@ def test_the_lagged_temperature_of_a_ramp() -> None:
     np.testing.assert_allclose(behind[steady], 0.2 * slope[steady], atol=0.02 * np.abs(slope).max())
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_thermal_scale_is_suggested_from_two_faces() -> None:
     """On one face it equals a slope of the bias, which is fitted."""
     put_in = {"A1": (ThermalScale((1e-3,) * 3),)}
