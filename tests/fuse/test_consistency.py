@@ -107,6 +107,7 @@ def test_the_freedom_is_that_of_all_lags_for_any_blocks(
     """The sum in the module's docstring, for each lag; lags beyond half of 401 equal those of its upper half."""
     monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
     monkeypatch.setattr("imuarray.fuse.error_consistency._SEGMENT", segment)
+    monkeypatch.setattr("imuarray.fuse.error_consistency._CACHED", block)
     unit = slow(np.random.default_rng(9))[:401]
     unit /= np.sqrt(np.mean(unit**2))
     rows = len(unit)
