@@ -81,14 +81,15 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
     origin: Floats | None = None
     for batch in _batches(rows):
         in_batch = _RunningMoments(0, zeros, zeros)
-        for used in _used_rows(sensor, batch, flags, left_out):
-            origin = used.mean(axis=1) if origin is None else origin
-            in_batch = in_batch.merge(_moments(used))
-            first, second = used[:, :-1] - origin[:, np.newaxis], used[:, 1:] - origin[:, np.newaxis]
-            pairs += first.shape[1]
-            both = both + (first + second).sum(axis=1)
-            product = product + (first * second).sum(axis=1)
-            even = even + np.count_nonzero((used & 1) == 0, axis=1)
+        for counts in _used_rows(sensor, batch, flags, left_out):
+            origin = counts.mean(axis=1) if origin is None else origin
+            levels = counts - origin[:, np.newaxis]
+            moments = _moments(levels)
+            in_batch = in_batch.merge(moments._replace(mean=moments.mean + origin))
+            pairs += levels.shape[1] - 1
+            both = both + 2 * moments.mean * levels.shape[1] - levels[:, 0] - levels[:, -1]
+            product = product + (levels[:, :-1] * levels[:, 1:]).sum(axis=1)
+            even = even + (counts.shape[1] - (counts & 1).sum(axis=1))
         total = total.merge(in_batch)
         if in_batch.number:
             means.append(in_batch.mean)
@@ -109,7 +110,7 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
 
 def _used_rows(
     sensor: SensorLog, rows: slice, flags: dict[str, int], left_out: Spans
-) -> Iterator[npt.NDArray[np.int64]]:
+) -> Iterator[npt.NDArray[np.integer]]:
     """Counts (k, n) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))
@@ -119,7 +120,7 @@ def _used_rows(
         used = ((flags_of(sensor, part, left_out) if left_out else status) & LEFT_OUT) == 0
         if used.any():
             selection = slice(None) if used.all() else used  # avoids a copy
-            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[selection].T, np.int64)
+            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[selection].T)
 
 
 def _batches(rows: slice) -> Iterator[slice]:
@@ -129,7 +130,8 @@ def _batches(rows: slice) -> Iterator[slice]:
     return (slice(start, stop) for start, stop in pairwise(edges) if stop > start)
 
 
-def _moments(rows: npt.NDArray[np.int64]) -> _RunningMoments:
-    """Moments of rows (k, n)."""
-    mean = rows.mean(axis=1)
-    return _RunningMoments(rows.shape[1], mean, ((rows - mean[:, np.newaxis]) ** 2).sum(axis=1))
+def _moments(levels: Floats) -> _RunningMoments:
+    """Moments of the rows of (k, n)."""
+    mean = levels.mean(axis=1)
+    squares = ((levels - mean[:, np.newaxis]) ** 2).sum(axis=1)
+    return _RunningMoments(levels.shape[1], mean, squares)

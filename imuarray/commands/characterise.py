@@ -158,7 +158,7 @@ def json_text(value: Any, depth: int = 0) -> str:
     if isinstance(value, dict) and value:
         entries = (f"{json.dumps(name)}: {json_text(item, depth + 1)}" for name, item in value.items())
         return "{" + margin + f",{margin}".join(entries) + margin[:-1] + "}"
-    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+    if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
         return "[" + margin + f",{margin}".join(json_text(item, depth + 1) for item in value) + margin[:-1] + "]"
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
