@@ -124,7 +124,7 @@ def covariance(factors: tuple[int, ...], rows: int, theta: Floats) -> Floats:
     """
     sums = _sums(factors, rows)
     random, ramp = theta[:-1], theta[-1]
-    gaussian = 2 * (sums.squares @ random @ random)
+    gaussian = 2 * (sums.squares.reshape(*sums.squares.shape[:2], -1) @ np.outer(random, random).ravel())
     if not ramp:
         return np.asarray(gaussian)
     m = np.array(factors, float)

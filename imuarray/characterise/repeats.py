@@ -96,13 +96,13 @@ class RepeatTally:
         rows = counts if self._before is None else np.concatenate([self._before, counts])
         earlier = len(rows) - len(counts)
         begin = max(earlier, 1)
-        equal = _equal_rows(rows[begin:], rows[begin - 1 : -1])
+        equal = equal_rows(rows[begin:], rows[begin - 1 : -1])
         self._compared += len(equal)
         self._equal += int(np.count_nonzero(equal))
         far = max(earlier, APART)
         self._far_compared += max(0, len(rows) - far)
         if len(rows) > far:
-            self._far_equal += int(np.count_nonzero(_equal_rows(rows[far:], rows[far - APART : -APART])))
+            self._far_equal += int(np.count_nonzero(equal_rows(rows[far:], rows[far - APART : -APART])))
         self._runs.end_at(self._rows + begin - earlier + np.flatnonzero(~equal))
         self._rows += len(counts)
         self._before = rows[-APART:].copy(order="K")
@@ -142,7 +142,7 @@ class RunTally(LongestRuns):
         self.end_at(np.array([self.rows]))
 
 
-def _equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
+def equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
     """Return (n,) which rows (n, k) are equal; column by column, 5 times as fast as over each row."""
     equal = np.ones(len(rows), bool)
     for row, other in zip(rows.T, others.T, strict=True):

@@ -188,7 +188,7 @@ class SlowWelch:
     """
 
     def __init__(self, rate_hz: float, factor: int, segment_rows: int, columns: int = 1) -> None:
-        self._rate_hz, self._factor = rate_hz, factor
+        self._factor = factor
         turns = 2 * np.pi * (np.arange(_BLOCKS * factor) + 0.5) / (_BLOCKS * factor)
         window = np.array(_TERMS) @ np.cos(np.outer(np.arange(len(_TERMS)), turns))
         self._filter: Floats = window / window.sum()
@@ -220,8 +220,7 @@ class SlowWelch:
         """Return the spectrum of all rows so far; ends the run."""
         self.end_run()
         spectrum = self._welch.result()
-        turns = np.outer(2 * np.pi * spectrum.frequency_hz / self._rate_hz, np.arange(len(self._filter)))
-        response = np.abs(np.einsum("fr,r->f", np.exp(-1j * turns), self._filter)) ** 2
+        response = np.abs(np.fft.rfft(self._filter, self._factor * spectrum.segment_rows)[: len(spectrum.density)]) ** 2
         return replace(spectrum, density=spectrum.density / response[:, None])
 
 

@@ -116,29 +116,37 @@ class IntervalTally:
         self._count()
         if not self._counts.any():
             return SamplingIntervals(self._rows, nan, nan, nan, nan, nan, 0, 0.0, ())
-        values = np.asarray(np.arange(_BINS + 1) * float(self._bin_ns) + (self._bin_ns - 1) / 2, np.float64)
-        median = _quantile(values, self._counts, 0.5)
-        limit = GAP * _quantile(values, self._counts, _QUARTILE)
-        is_gap = values > limit
-        is_gap[-1] = True
-        gaps_ns = _weighted_sum(np.where(is_gap, self._counts, 0)[:-1], values[:-1]) + self._beyond_ns
-        counts = np.where(is_gap, 0, self._counts)
-        number = int(counts.sum())
+        bins, (changes, numbers_of_changes) = np.flatnonzero(self._counts), self._lengths(self._changes)
+        values, counts = self._lengths(self._counts)
+        median = _quantile(values, counts, 0.5)
+        limit = GAP * _quantile(values, counts, _QUARTILE)
+        is_gap = (values > limit) | (bins == _BINS)
+        is_known = is_gap & (bins < _BINS)
+        gaps_ns = _weighted_sum(counts[is_known], values[is_known]) + self._beyond_ns
+        usual, numbers = values[~is_gap], counts[~is_gap]
+        number = int(numbers.sum())
         mean = (self._last_ns - self._first_ns - gaps_ns) / number
-        centred = values - _weighted_sum(counts, values) / number
-        variance = _weighted_sum(counts, centred**2) / number
+        centred = usual - _weighted_sum(numbers, usual) / number
+        variance = _weighted_sum(numbers, centred**2) / number
         square = self._alternation(variance)
-        robust = _quantile(values, self._changes, 0.5) / MEDIAN_ABSOLUTE / sqrt(2) if self._changes.any() else nan
+        robust = _quantile(changes, numbers_of_changes, 0.5) / MEDIAN_ABSOLUTE / sqrt(2) if len(changes) else nan
         jitter = sqrt(max(variance - square, 0.0))
         longest = tuple(gap for gap in self._longest if gap.length_s * 1e9 > limit)
         seconds = (median * 1e-9, mean * 1e-9, sqrt(square) * 1e-9, jitter * 1e-9, robust * 1e-9)
-        return SamplingIntervals(self._rows, *seconds, int(self._counts[is_gap].sum()), gaps_ns * 1e-9, longest)
+        return SamplingIntervals(self._rows, *seconds, int(counts[is_gap].sum()), gaps_ns * 1e-9, longest)
+
+    def _lengths(self, counts: Times) -> tuple[Floats, Times]:
+        """Return the middles of the bins of a histogram that are not empty, in ns, and the numbers of lengths in
+        them.
+        """
+        bins = np.flatnonzero(counts)
+        return np.asarray(bins * float(self._bin_ns) + (self._bin_ns - 1) / 2, np.float64), counts[bins]
 
     def _name(self, intervals: Times, times: Times, first_row: int) -> None:
         """Keep the longest intervals with their rows."""
         count = min(PLACES, len(intervals))
         starts = times[-len(intervals) :] - intervals if len(intervals) else times[:0]
-        for at in np.argpartition(-intervals, count - 1)[:count].tolist() if count else ():
+        for at in np.argpartition(intervals, -count)[-count:].tolist() if count else ():
             self._longest.append(RowGap(float(intervals[at]) * 1e-9, int(starts[at]), first_row + at))
         self._longest = nlargest(PLACES, self._longest)
 
@@ -340,7 +348,7 @@ def _pieces(
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))
         time_ns, status = np.asarray(sensor.time[part], np.int64), flags_of(sensor, part, left_out)
-        counts = np.asarray(sensor.counts[part], np.int64)
+        counts = np.array(sensor.counts[part], np.int64, order="F")  # most statistics are faster along columns
         intervals.update(time_ns)
         since_ns = np.diff(time_ns, prepend=time_ns[0] if before_ns is None else before_ns)
         broken = broken_rows(status) | (since_ns > timing.gap_limit_s * 1e9)
