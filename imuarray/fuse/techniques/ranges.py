@@ -283,16 +283,17 @@ def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> SegmentM
     valid, steady = rows.valid.reshape(*shape, axes), rows.steady.reshape(shape)
     present = np.asarray((valid & steady[:, :, None]).any(axis=1))
     used = steady & (valid | ~present[:, None, :]).all(axis=2)
-    values = np.where(valid, rows.values.reshape(*shape, axes), 0.0)
+    readings = np.where(rows.valid, rows.values, 0.0).reshape(*shape, axes)
+    values = np.ascontiguousarray(readings.transpose(0, 2, 1))  # sums are faster along rows of frames
     result = [blends.of(some) for some in present]
     gain = np.array([np.zeros((3, axes)) if blend is None else blend.gain for blend in result])
     noise = np.array([np.zeros(axes) if blend is None else blend.along for blend in result])
-    triads = values @ gain.transpose(0, 2, 1)
+    triads = gain @ values
     passed_s = np.maximum(time_s[:, 2:] - time_s[:, :-2], 1e-9)
     used = used[:, 1:-1] & used[:, :-2] & used[:, 2:] & (passed_s <= GAP_S)
-    late = -(triads[:, 2:] - triads[:, :-2]) / passed_s[:, :, None] @ directions.T
-    along = triads[:, 1:-1] @ directions.T
-    moved, products, residual = _sums(along, late, values[:, 1:-1] - along, used, noise, passed_s.mean(axis=1))
+    late = directions @ ((triads[..., :-2] - triads[..., 2:]) / passed_s[:, None])
+    along = directions @ triads[..., 1:-1]
+    moved, products, residual = _sums(along, late, values[..., 1:-1] - along, used, noise, passed_s.mean(axis=1))
     known = np.array([np.zeros(axes, bool) if blend is None else blend.seen for blend in result])
     known &= (used.sum(axis=1) >= _FEWEST)[:, None]
     return SegmentMoments(end_ns, present, moved, products * known[:, :, None, None], residual * known[:, :, None])
@@ -302,33 +303,35 @@ def _sums(
     along: Floats, late: Floats, residual: Floats, used: Booleans, noise: Floats, passed_s: Floats
 ) -> tuple[Booleans, Floats, Floats]:
     """Return which axes moved (k, m), and sums over the `used` frames (k, n) of each segment: products of 1, signal and
-    effect of a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
+    effect of a delay (k, m, 3, 3), and of these with the residual (k, m, 3). All series are (k, m, n).
 
     A signal with little motion compared with its `noise` (k, m) is replaced by its mean, a slope by zero.
     """
-    item = used[:, :, None].astype(float)
-    count = np.maximum(item.sum(axis=1), 1.0)
-    mean = (along * item).sum(axis=1) / count
-    moving = ((along - mean[:, None]) ** 2 * item).sum(axis=1) > _ENOUGH * count * noise**2
-    along = np.where(moving[:, None], along, mean[:, None])
+    item = used[:, None].astype(float)
+    count = np.maximum(item.sum(axis=2), 1.0)
+    mean = (along * item).sum(axis=2) / count
+    apart = (along - mean[..., None]) * item
+    moving = _inner(apart, apart) > _ENOUGH * count * noise**2
+    along = np.where(moving[..., None], along, mean[..., None])
     jitter = 2 * (noise / passed_s[:, None]) ** 2
-    rising = (late**2 * item).sum(axis=1) > _ENOUGH * count * jitter
-    late = np.where(rising[:, None], late, 0.0)
-    terms = (np.broadcast_to(item, along.shape), along * item, late * item if rising.any() else None)
+    late = late * item
+    rising = _inner(late, late) > _ENOUGH * count * jitter
+    late = np.where(rising[..., None], late, 0.0)
+    terms = (np.broadcast_to(item, along.shape), along * item, late if rising.any() else None)
     products, with_residual = np.zeros((*moving.shape, 3, 3)), np.zeros((*moving.shape, 3))
     for row, term in enumerate(terms):
         if term is None:
             continue
         with_residual[..., row] = _inner(term, residual)
         for column, other in enumerate((None, along, late)[: row + 1]):
-            sums = term.sum(axis=1) if other is None else _inner(term, other)
+            sums = term.sum(axis=2) if other is None else _inner(term, other)
             products[..., row, column] = products[..., column, row] = sums
     return moving, products, with_residual
 
 
 def _inner(first: Floats, second: Floats) -> Floats:
-    """Return the sums (k, m) of the products of two arrays (k, n, m)."""
-    return np.asarray(np.einsum("knm,knm->km", first, second))
+    """Return the sums (k, m) of the products of two arrays (k, m, n)."""
+    return np.asarray(np.einsum("kmn,kmn->km", first, second))
 
 
 MEMORY_S = 20.0
