@@ -112,6 +112,7 @@ class CommittedRows:
         zero = (0,) * len(groups)
         ends = [commit.rows for commit in commits]
         self._segments = [Segment(number, *rows) for number, rows in enumerate(pairwise([zero, *ends]))]
+        self._columns: dict[tuple[int, str], h5py.Dataset] = {}
         self._is_good: dict[int, bool] = {}
         self._replacements: OrderedDict[int, list[Columns]] = OrderedDict()
         self._rest: dict[int, list[Columns]] = {}
@@ -186,7 +187,9 @@ class CommittedRows:
 
     def _stored(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
         """Return rows of the file, as stored."""
-        column = self._file[self._groups[number].path][name]
+        if (number, name) not in self._columns:  # HDF5 takes longer to open a column than to read a commit's rows
+            self._columns[number, name] = self._file[self._groups[number].path][name]
+        column = self._columns[number, name]
         for _ in range(_TRIES - 1):
             try:
                 return np.asarray(column[start:stop])
