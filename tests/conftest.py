@@ -71,6 +71,7 @@ SHARED = {
     "tests/export/": "pandas",
     "tests/test_analysis.py": "pandas",
     "tests/log/test_format.py": "pandas",
+    "tests/log/test_time_uncertainty.py": "pandas",
 }
 """What files of the quick half share that takes a second to make or to import: a worker gets all files that share it.
 Other files are distributed file by file.

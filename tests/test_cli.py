@@ -416,7 +416,7 @@ def interrupted(here: Path, number: int, *more: str) -> subprocess.CompletedProc
         process = subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     finally:
         signal.signal(signal.SIGHUP, before)
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while not (here / "r.h5").exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.01)
     time.sleep(0.3)

@@ -148,7 +148,7 @@ def test_the_papers_array_is_logged_from_another_process(tmp_path: Path) -> None
             assert main(["log", "martin2013", "--bus", url, "-o", str(run), "--seconds", "5", "--rate-hz", "50"]) == 0
         finally:
             process.send_signal(signal.SIGINT)
-            assert process.wait(5) == 130
+            assert process.wait(60) == 130
     with open_log(run) as log:
         for sensor in ("ADXL1", "BMA3", "Gyro3"):
             time_s = log[sensor].time[:].astype(float) * 1e-9

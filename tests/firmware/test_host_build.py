@@ -148,7 +148,7 @@ def test_acknowledged_commands_were_executed_once(
 def test_unread_frames_are_dropped_whole(host_program: Path, tmp_path: Path, hasty: None) -> None:
     with hosted(host_program, tmp_path) as (host, wire), SerialBus(BadLine(host.path)) as bus:
         bus.start([PollList(1, 0, (Request(ADXL345, BURST, 8), *[Request(ADXL345, b"\x00", 57)] * 12))], 5000)
-        until_s = time.monotonic() + 10
+        until_s = time.monotonic() + 60
         while len(wire.bursts) < 40 and time.monotonic() < until_s:
             time.sleep(0.01)
         received = [bus.receive() for _ in range(3)]
@@ -270,7 +270,7 @@ def test_eight_six_axis_chips_at_1_khz_are_streamed(host_program: Path, tmp_path
     with HostBuild(host_program, chips, tmp_path / "ttyACM0") as host, SerialBus(BadLine(host.path)) as bus:
         bus.start([asked], 1000)
         numbers, payloads = [], []
-        until_s = time.monotonic() + 20
+        until_s = time.monotonic() + 60
         while sum(map(len, numbers)) < 500 and time.monotonic() < until_s:
             if (samples := bus.receive().get(0)) is not None:
                 numbers.append(samples.numbers)

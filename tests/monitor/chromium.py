@@ -105,4 +105,4 @@ async def browser(folder: Path, address: str) -> AsyncIterator[Browser]:
                 pass
     finally:
         process.terminate()
-        process.wait(20)
+        process.wait(60)

@@ -104,7 +104,7 @@ def test_the_page_reports_a_stopped_monitor_and_reconnects(log_path: Path, tmp_p
         async with browser(tmp_path / "profile", address) as page:
             await page.until(f"{state} === 'being written'")
             first.kill()
-            first.wait(20)
+            first.wait(60)
             await page.until(f"{state} === 'no connection'")
             assert "goes on trying" in await page.value("document.getElementById('connection').textContent")
             with served(log_path, "--port", port):

@@ -334,7 +334,7 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
         assert watch.refresh(0.0).state == "being written"
     finally:
         child.send_signal(signal.SIGKILL)
-        child.wait(20)
+        child.wait(60)
         child.stdout.close() if child.stdout else None
     snapshot = watch.refresh(1.0)
     assert (snapshot.state, sensor(snapshot, "Gyro").rows) == ("interrupted", 200)

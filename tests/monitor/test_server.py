@@ -132,7 +132,7 @@ def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None
         assert asked(address, "../pyproject.toml").status == 404
         assert asked(address, "page.html").status == 404
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert process.stderr is not None and process.stderr.read() == ""
 
 

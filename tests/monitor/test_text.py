@@ -266,11 +266,11 @@ def test_a_terminal_is_redrawn_in_place(log_path: Path, logger: Logger) -> None:
         process.send_signal(signal.SIGWINCH)
         second = look()  # the next refresh would be in a minute
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert select.select([screen], [], [], 0)[0] == []  # and nothing is printed
     finally:
         process.kill()
-        process.wait(20)
+        process.wait(60)
         os.close(screen)
         os.close(end)
     for shown, rows, columns in ((first, 40, 80), (second, 10, 40)):

@@ -153,6 +153,7 @@ def test_names_are_escaped(tmp_path: Path) -> None:
     assert {len(re.split(r"(?<!\\)\|", line)) for line in table} == {8, 7}
 
 
+@pytest.mark.slow
 def test_without_matplotlib_the_page_has_only_tables(
     figures: Figures, page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
