@@ -17,8 +17,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.stability import BIAS
+from imuarray.calibrate.model import BIAS, Calibration, SensorCalibration
 from imuarray.log import SensorLog
 
 

@@ -26,9 +26,8 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.axes import up_vector
-from imuarray.calibrate.correlated_noise import MeanVariance, mean_of_series
 from imuarray.calibrate.pose_readings import sensor_in
-from imuarray.calibrate.segments import SegmentMeans, segment_means, thermometer_of
+from imuarray.calibrate.segments import MeanVariance, SegmentMeans, mean_of_series, segment_means, thermometer_of
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 

@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.calibrate.model import Calibration, SensorCalibration, TurnOn
 from imuarray.calibrate.pose_readings import Pose, find_poses
 from imuarray.calibrate.runs import NO_RANGES, Ranges, explained_range
-from imuarray.calibrate.stability import TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 

@@ -40,14 +40,12 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.calibrate.correlated_noise import weights
 from imuarray.calibrate.fits import refuse_imprecise
-from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+from imuarray.calibrate.model import BIAS, BIAS_OR_SCALE, Calibration, SensorCalibration, Thermal, nominal
 from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
 from imuarray.calibrate.pose_readings import sensor_in
-from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means, thermometer_of
-from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
+from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means, thermometer_of, weights
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog, require_logs
 from imuarray.printable import counted

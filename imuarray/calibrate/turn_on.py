@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.fits import refuse_imprecise
-from imuarray.calibrate.model import Calibration, nominal
+from imuarray.calibrate.model import BiasState, Calibration, TurnOn, nominal
 from imuarray.calibrate.motion import motion_in, refuse_other_poses
 from imuarray.calibrate.runs import (
     NO_RANGES,
@@ -32,7 +32,6 @@ from imuarray.calibrate.runs import (
     run_stretches,
     two_states,
 )
-from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, require_logs
 from imuarray.printable import counted

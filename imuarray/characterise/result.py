@@ -19,15 +19,20 @@ from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import Estimator
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve, floor, white_noise
 from imuarray.characterise.allan_fit import fit_noise
-from imuarray.characterise.bands import find_bands
 from imuarray.characterise.codes import code_density, find_rails
-from imuarray.characterise.lines import FIRST_BIN, SpectralLine, aliases, find_lines
+from imuarray.characterise.lines import FIRST_BIN, SpectralLine, aliases, find_bands, find_lines
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.processing import find_filters, find_interpolation, find_missing_gravity
-from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import find_stalls
 from imuarray.characterise.spectrum import Spectrum
-from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
+from imuarray.characterise.stretch import (
+    Stretch,
+    Timing,
+    choose_stretch,
+    find_rate_changes,
+    find_timing,
+    rate_change_sentence,
+)
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
 from imuarray.errors import ConfigError, LogError
 from imuarray.json_values import json_value

@@ -13,7 +13,7 @@ from imuarray.units import READABLE
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration, SensorCalibration
-    from imuarray.calibrate.stability import NoiseLine
+    from imuarray.calibrate.model import NoiseLine
 
 _WORTH_SAYING = 0.2
 """Least share of the variance for which a sentence reports the lines of an axis."""

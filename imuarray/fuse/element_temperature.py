@@ -18,9 +18,8 @@ import numpy as np
 
 from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.model import Described
+from imuarray.calibrate.model import BIAS, Described, Thermal
 from imuarray.calibrate.segments import TemperatureSeries, degc_of, has_zero, thermometer_of
-from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.fuse.alignment import ElementTemperature
 from imuarray.fuse.optimal.prior import STEEP, USUAL

@@ -29,8 +29,8 @@ from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.findings import SURE, shares_times
 from imuarray.characterise.processing import NO_GRAVITY, find_filters, find_interpolation
-from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally, RunTally
+from imuarray.characterise.stretch import find_rate_changes, rate_change_sentence
 from imuarray.importers.code_errors import find_jumps
 from imuarray.importers.triad_behaviour import fit_sphere
 from imuarray.log import Log, SensorLog, open_log

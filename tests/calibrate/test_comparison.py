@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.calibrate import Calibration, SensorCalibration, compare_calibrations
-from imuarray.calibrate.stability import BIAS, Thermal
+from imuarray.calibrate.model import BIAS, Thermal
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from tests.calibrate.conftest import Floats, ideal

@@ -13,9 +13,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import binom
 
 from imuarray.calibrate import Calibration, calibrate_noise, nominal
+from imuarray.calibrate.model import BIAS, Drift, Thermal
 from imuarray.calibrate.noise import _likelihood, fit_drift
 from imuarray.calibrate.segments import SegmentMeans
-from imuarray.calibrate.stability import BIAS, Drift, Thermal
 from imuarray.cli import main
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase

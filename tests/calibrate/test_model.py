@@ -13,8 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
-from imuarray.calibrate.model import GROUPS
-from imuarray.calibrate.stability import (
+from imuarray.calibrate.model import (
+    GROUPS,
     THERMOMETERS,
     BiasState,
     Drift,

@@ -13,9 +13,15 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.correlated_noise import CorrelatedNoise, products, regress
 from imuarray.calibrate.opposed import cancelled
-from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means
+from imuarray.calibrate.segments import (
+    CorrelatedNoise,
+    SegmentMeans,
+    TemperatureSeries,
+    products,
+    regress,
+    segment_means,
+)
 from imuarray.calibrate.thermal import ThermalResult, _determines_curvature, calibrate_thermal, fit_axes
 from imuarray.cli import main
 from imuarray.errors import CalibrationError

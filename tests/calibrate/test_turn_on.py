@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import f
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
-from imuarray.calibrate.correlated_noise import mean_of_series
+from imuarray.calibrate.model import BiasState, TurnOn
 from imuarray.calibrate.runs import SensorRuns, best_split, explained_range, isolated_runs, two_states
-from imuarray.calibrate.stability import BiasState, TurnOn
+from imuarray.calibrate.segments import mean_of_series
 from imuarray.calibrate.start_up import RestMean, states_of
 from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, compare_runs, holm
 from imuarray.chips import CHIPS

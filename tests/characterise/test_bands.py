@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from imuarray.characterise.bands import find_bands
-from imuarray.characterise.lines import FALSE_ALARM, find_lines
+from imuarray.characterise.lines import FALSE_ALARM, find_bands, find_lines
 from imuarray.characterise.result import _with_harmonics
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 

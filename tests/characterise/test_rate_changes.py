@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
+from imuarray.characterise.stretch import find_rate_changes, rate_change_sentence
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.log.writer import Block, LogWriter

@@ -9,8 +9,7 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.characterise import characterise_log
-from imuarray.characterise.bands import find_bands
-from imuarray.characterise.lines import FIRST_BIN, find_lines
+from imuarray.characterise.lines import FIRST_BIN, find_bands, find_lines
 from imuarray.characterise.result import SLOW_FALSE_ALARM, find_slow_lines
 from imuarray.characterise.spectrum import SlowWelch, Spectrum, Welch, segment_rows, slow_welch
 from imuarray.log import Block, LogWriter, open_log

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.stability import BIAS, Thermal
+from imuarray.calibrate.model import BIAS, Thermal
 from imuarray.cli import main
 from imuarray.fuse import fuse, temperature_mismatch
 from imuarray.fuse.element_temperature import AWAY_DEGC, SCALE_PER_DEGC, mismatch_sentences

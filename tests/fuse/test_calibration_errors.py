@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t as t_distribution
 
 from imuarray.calibrate import Calibration, calibrate_noise, calibrate_tumble
-from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
+from imuarray.calibrate.model import BIAS, Drift, Thermal, TurnOn
 from imuarray.fuse import compare, fuse
 from imuarray.fuse.comparison import Score
 from imuarray.fuse.frames import axes_of, matrices

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
+from imuarray.calibrate.model import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.cli import main
 from imuarray.commands.fuse_report import pair_lines, pairs_of
 from imuarray.fuse import errors_of, fuse

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import TurnOn
+from imuarray.calibrate.model import TurnOn
 from imuarray.fuse import TECHNIQUES, Axis, Frames, axes_of, changes, fuse
 from imuarray.fuse.techniques.planes import Monitor, PlaneBlend, dilution
 from imuarray.log import open_log

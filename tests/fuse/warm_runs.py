@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import Thermal
+from imuarray.calibrate.model import Thermal
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import SensorHeader
 from tests.fuse.conftest import EPOCH, pointing

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import BIAS, Thermal
+from imuarray.calibrate.model import BIAS, Thermal
 from imuarray.fuse import FusedHead
 from imuarray.fuse.comparison import Score, TechniqueComparison
 from imuarray.fuse.evaluation import Error, Ratio

@@ -11,8 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.axes import orientation_of
-from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.stability import Thermal
+from imuarray.calibrate.model import Calibration, SensorCalibration, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias

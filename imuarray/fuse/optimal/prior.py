@@ -24,8 +24,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.model import Described
-from imuarray.calibrate.stability import BIAS, TurnOn
+from imuarray.calibrate.model import BIAS, Described, TurnOn
 from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import Axis

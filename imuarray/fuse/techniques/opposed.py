@@ -31,8 +31,8 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.model import BIAS
 from imuarray.calibrate.opposed import OPPOSED, cancelled
-from imuarray.calibrate.stability import BIAS
 from imuarray.fuse.frames import Axis, Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import Technique, mean, solve_frames
 from imuarray.log import SensorLog

@@ -35,7 +35,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
+from imuarray.calibrate.model import BIAS, Drift, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse import Frames, FusedBlock, aligned
 from imuarray.fuse.frames import entries

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import BiasState, Drift, Provenance, Thermal, TurnOn
+from imuarray.calibrate.model import BiasState, Drift, Provenance, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import axes_of
 from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
@@ -129,9 +129,9 @@ def test_an_unknown_or_impossible_noise_is_refused(model: Callable[..., ErrorMod
 def test_measured_noise_correlation_and_drift_are_used(model: Callable[..., ErrorModel]) -> None:
     if "noise_correlation" not in SensorCalibration.__dataclass_fields__:
         pytest.skip("this calibration does not know them")
-    from imuarray.calibrate import stability
+    from imuarray.calibrate.model import Drift
 
-    drift = stability.Drift(np.array([3.0, 0, 0]), np.array([4.0, 1, 1]), 250.0)
+    drift = Drift(np.array([3.0, 0, 0]), np.array([4.0, 1, 1]), 250.0)
     result = model(BMA, BMA1={"noise_correlation": np.array([0.4, -0.1, 0.0]), "drift": drift})
     assert [result.axes["BMA1", index].correlation for index in range(3)] == [0.4, 0.0, 0.0]
     assert result.axes["BMA1", 0].drift == pytest.approx(5 * G / 2048)
