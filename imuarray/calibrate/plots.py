@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,13 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from imuarray.calibrate.model import Calibration, SensorCalibration
-
-
-class _Estimates(NamedTuple):
-    """The values (3,) of one sensor in counts, and their standard errors."""
-
-    value_lsb: Floats
-    sem_lsb: Floats | None
 
 
 _LABELS: Mapping[str, str] = MappingProxyType(
@@ -50,81 +43,59 @@ def calibration_figure(calibration: Calibration, group: str | None = None) -> Fi
             f"{group or 'bias'} was not measured; the calibration contains {', '.join(groups) or 'nothing'}"
         )
     shown_group = group or groups[0]
-    labels: list[str] = []
-    units: list[str] = []
-    values: list[float] = []
-    errors: list[float] = []
-    for sensor in calibration.sensors.values():
-        estimates = _estimates(sensor, shown_group)
-        if estimates is None:
-            continue
-        factor, unit = READABLE[sensor.unit]
-        per_count = factor / sensor.scale_lsb_per_unit
-        labels += [f"{sensor.name} {axis}" for axis in "xyz"]
-        units += [unit] * 3
-        values += (per_count * estimates.value_lsb).tolist()
-        errors += [np.nan] * 3 if estimates.sem_lsb is None else (per_count * estimates.sem_lsb).tolist()
+    axes = [
+        (name, unit, per_count * float(value[axis]), np.nan if sem is None else per_count * float(sem[axis]))
+        for sensor, axis, name, unit, per_count in readable_axes(calibration)
+        for value, sem in filter(None, [_estimates(sensor, shown_group)])
+    ]
+    labels, units, values, errors = map(list, zip(*axes, strict=True))
     return estimates_figure(labels, values, errors, units, _LABELS[shown_group])
 
 
-def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
-    """Yield axis, unit, bias, its standard error, counts per unit and noise; "–" if not known."""
+def readable_axes(calibration: Calibration) -> Iterator[tuple[SensorCalibration, int, str, str, float]]:
+    """Yield every axis: its sensor, number and name, its unit (mg or dps), and that unit per count."""
     for sensor in calibration.sensors.values():
         factor, unit = READABLE[sensor.unit]
-        per_count = factor / sensor.scale_lsb_per_unit
-        bias, sem, noise = (
-            _scaled(figure, per_count) for figure in (sensor.bias_lsb, sensor.bias_sem_lsb, sensor.noise_lsb)
-        )
-        for axis in range(3):
-            scale = number(float(sensor.scale_lsb_per_unit[axis]), 5)
-            yield _axis(sensor, axis), unit, number(bias[axis]), number(sem[axis]), scale, number(noise[axis])
+        for axis, letter in enumerate("xyz"):
+            yield sensor, axis, f"{sensor.name} {letter}", unit, float(factor / sensor.scale_lsb_per_unit[axis])
+
+
+def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
+    """Yield axis, unit, bias, its standard error, counts per unit and noise."""
+    for sensor, axis, name, unit, per_count in readable_axes(calibration):
+        figures = (sensor.bias_lsb, sensor.bias_sem_lsb, sensor.noise_lsb)
+        bias, sem, noise = (number(np.nan if lsb is None else float(lsb[axis]) * per_count) for lsb in figures)
+        yield name, unit, bias, sem, number(float(sensor.scale_lsb_per_unit[axis]), 5), noise
 
 
 def slope_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
     """Yield axis, unit, slope, its standard error, lag, and the meaning of the slope."""
-    for sensor in calibration.sensors.values():
-        if (thermal := sensor.thermal) is None:
-            continue
-        factor, unit = READABLE[sensor.unit]
-        per_count = factor / sensor.scale_lsb_per_unit
-        slope, sem = _scaled(thermal.slope_lsb_per_degc, per_count), _scaled(thermal.slope_sem_lsb_per_degc, per_count)
-        for axis in range(3):
-            lag = number(thermal.significant_lag_s, 3)
-            yield _axis(sensor, axis), unit, number(slope[axis]), number(sem[axis]), lag, thermal.meaning[axis]
+    for sensor, axis, name, unit, per_count in readable_axes(calibration):
+        if (thermal := sensor.thermal) is not None:
+            figures = (thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc)
+            slope, sem = (number(float(lsb[axis]) * per_count) for lsb in figures)
+            yield name, unit, slope, sem, number(thermal.significant_lag_s, 3), thermal.meaning[axis]
 
 
 def turn_on_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
     """Yield axis, unit, rms from run to run, its standard error, runs, states and the p-value of no change."""
-    for sensor in calibration.sensors.values():
-        if (turn_on := sensor.turn_on) is None:
-            continue
-        factor, unit = READABLE[sensor.unit]
-        per_count = factor / sensor.scale_lsb_per_unit
-        rms, sem = _scaled(turn_on.rms_lsb, per_count), _scaled(turn_on.rms_sem_lsb, per_count)
-        for axis in range(3):
+    for sensor, axis, name, unit, per_count in readable_axes(calibration):
+        if (turn_on := sensor.turn_on) is not None:
+            rms, sem = (number(float(lsb[axis]) * per_count) for lsb in (turn_on.rms_lsb, turn_on.rms_sem_lsb))
             counted = str(turn_on.runs), str(max(1, len(turn_on.states))), number(float(turn_on.p_value[axis]), 2)
-            yield _axis(sensor, axis), unit, number(rms[axis]), number(sem[axis]), *counted
+            yield name, unit, rms, sem, *counted
 
 
-def _axis(sensor: SensorCalibration, axis: int) -> str:
-    return f"{sensor.name} {'xyz'[axis]}"
-
-
-def _scaled(values_lsb: Floats | None, per_count: Floats) -> list[float]:
-    """Convert counts (3,) to mg or dps; nan if not known."""
-    return [np.nan] * 3 if values_lsb is None else [float(value) for value in values_lsb * per_count]
-
-
-def _estimates(sensor: SensorCalibration, group: str) -> _Estimates | None:
-    """Return the figures of a group; None if it was not measured."""
+def _estimates(sensor: SensorCalibration, group: str) -> tuple[Floats, Floats | None] | None:
+    """Return a group's figure and its standard error, in counts; None if it was not measured."""
     if group == "bias" and sensor.bias_sem_lsb is not None:
-        return _Estimates(sensor.bias_lsb, sensor.bias_sem_lsb)
+        return sensor.bias_lsb, sensor.bias_sem_lsb
     if group == "noise" and sensor.noise_lsb is not None:
-        return _Estimates(sensor.noise_lsb, sensor.noise_sem_lsb)
+        return sensor.noise_lsb, sensor.noise_sem_lsb
     if group == "thermal" and sensor.thermal is not None:
-        return _Estimates(sensor.thermal.slope_lsb_per_degc, sensor.thermal.slope_sem_lsb_per_degc)
+        return sensor.thermal.slope_lsb_per_degc, sensor.thermal.slope_sem_lsb_per_degc
     if group == "turn_on" and sensor.turn_on is not None:
-        return _Estimates(sensor.turn_on.rms_lsb, sensor.turn_on.rms_sem_lsb)
+        return sensor.turn_on.rms_lsb, sensor.turn_on.rms_sem_lsb
     return None
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.plots import residual_figure
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.plots import readable_axes, residual_figure
 from imuarray.calibrate.pose_readings import find_poses, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
@@ -41,60 +41,52 @@ def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
 
 def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
     """Yield the section with the figures of a calibration and their standard errors."""
-    axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor) if _BASIC & {*sensor.measured()}]
+    axes = list(_axes(calibration))
     words = "Measured figures have a standard error; figures without one come from the data sheet. "
     words += "A bias is the reading at zero input; the direction is the true direction of the axis in the box."
     heading = ["axis", "unit", "bias", "± s.e.", "counts per unit", "± s.e.", "azimuth °", "elevation °", "noise"]
     caption = "Biases, responses and the scatter of single readings, along each sensor's axes; –: not measured."
     parts = [Table(heading, axes, caption, (1,))] if axes else []
-    if slopes := [row for sensor in calibration.sensors.values() for row in _slopes(sensor)]:
+    if slopes := list(_slopes(calibration)):
         heading = ["axis", "unit", "slope per °C", "± s.e.", "lag s", "thermometer", "slope of"]
         parts.append(
             Table(heading, slopes, "Change per degree. “bias or scale”: one attitude cannot separate them.", (1, 5, 6))
         )
-    if states := [row for sensor in calibration.sensors.values() for row in _turn_on(sensor)]:
+    if states := list(_turn_on(calibration)):
         heading = ["axis", "unit", "run to run", "± s.e.", "p by chance", "runs", "states"]
         parts.append(Table(heading, states, "How much a bias changes when the array is switched off and on.", (1,)))
     yield Section(f"{path.name}: calibration", words, parts)
 
 
-def _axes(sensor: SensorCalibration) -> Iterator[list[str]]:
-    factor, unit = READABLE[sensor.unit]
-    bias, scale = factor * sensor.bias_in_units(), sensor.scale_lsb_per_unit
-    angles = sensor.azimuth_elevation_deg()
-    for axis in range(3):
-        per_count = factor / scale[axis]
+def _axes(calibration: Calibration) -> Iterator[list[str]]:
+    for sensor, axis, name, unit, per_count in readable_axes(calibration):
+        if not _BASIC & {*sensor.measured()}:
+            continue
+        bias = READABLE[sensor.unit][0] * sensor.bias_in_units()
         sem = None if sensor.bias_sem_lsb is None else per_count * sensor.bias_sem_lsb[axis]
         response = None if sensor.response_sem_lsb_per_unit is None else sensor.response_sem_lsb_per_unit[axis]
         noise = None if sensor.noise_lsb is None else per_count * sensor.noise_lsb[axis]
         bias_text = "–" if sem is None and not bias.any() else f"{bias[axis]:.3f}"
-        directions = [f"{angle:.2f}" for angle in angles[axis]]
-        figures = [bias_text, _or_none(sem), f"{scale[axis]:.4g}", _or_none(response), *directions, _or_none(noise)]
-        yield [f"{sensor.name} {'xyz'[axis]}", unit, *figures]
+        scale, angles = f"{sensor.scale_lsb_per_unit[axis]:.4g}", sensor.azimuth_elevation_deg()[axis]
+        directions = [f"{angle:.2f}" for angle in angles]
+        yield [name, unit, bias_text, _or_none(sem), scale, _or_none(response), *directions, _or_none(noise)]
 
 
-def _slopes(sensor: SensorCalibration) -> Iterator[list[str]]:
-    if (thermal := sensor.thermal) is None:
-        return
-    factor, unit = READABLE[sensor.unit]
-    for axis in range(3):
-        per_count = factor / sensor.scale_lsb_per_unit[axis]
-        slope, sem = thermal.slope_lsb_per_degc[axis], thermal.slope_sem_lsb_per_degc[axis]
-        figures = [f"{per_count * slope:.4f}", f"{per_count * sem:.4f}", f"{thermal.significant_lag_s:.0f}"]
-        yield [f"{sensor.name} {'xyz'[axis]}", unit, *figures, thermal.thermometer, thermal.meaning[axis]]
+def _slopes(calibration: Calibration) -> Iterator[list[str]]:
+    for sensor, axis, name, unit, per_count in readable_axes(calibration):
+        if (thermal := sensor.thermal) is not None:
+            slope, sem = thermal.slope_lsb_per_degc[axis], thermal.slope_sem_lsb_per_degc[axis]
+            figures = [f"{per_count * slope:.4f}", f"{per_count * sem:.4f}", f"{thermal.significant_lag_s:.0f}"]
+            yield [name, unit, *figures, thermal.thermometer, thermal.meaning[axis]]
 
 
-def _turn_on(sensor: SensorCalibration) -> Iterator[list[str]]:
-    if (turn_on := sensor.turn_on) is None:
-        return
-    factor, unit = READABLE[sensor.unit]
-    for axis in range(3):
-        per_count = factor / sensor.scale_lsb_per_unit[axis]
-        rms, sem = per_count * turn_on.rms_lsb[axis], per_count * turn_on.rms_sem_lsb[axis]
-        p_value = turn_on.p_value[axis]
-        chance = "–" if np.isnan(p_value) else f"{p_value:.2g}"
-        states = str(max(1, len(turn_on.states)))
-        yield [f"{sensor.name} {'xyz'[axis]}", unit, f"{rms:.4f}", f"{sem:.4f}", chance, str(turn_on.runs), states]
+def _turn_on(calibration: Calibration) -> Iterator[list[str]]:
+    for sensor, axis, name, unit, per_count in readable_axes(calibration):
+        if (turn_on := sensor.turn_on) is not None:
+            rms, sem = per_count * turn_on.rms_lsb[axis], per_count * turn_on.rms_sem_lsb[axis]
+            p_value, states = turn_on.p_value[axis], str(max(1, len(turn_on.states)))
+            chance = "–" if np.isnan(p_value) else f"{p_value:.2g}"
+            yield [name, unit, f"{rms:.4f}", f"{sem:.4f}", chance, str(turn_on.runs), states]
 
 
 def _or_none(value: float | None) -> str:
