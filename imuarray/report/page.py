@@ -167,10 +167,9 @@ def marked(text: str) -> str:
 
 def markup(pattern: str, *texts: str) -> str:
     """Return a pattern of HTML filled with escaped texts; MissingExtraError without jinja2's escaping."""
-    try:
-        from markupsafe import Markup
-    except ImportError:
-        raise MissingExtraError("jinja2", "report") from None
+    require_page_package()
+    from markupsafe import Markup
+
     return Markup(pattern).format(*texts)  # noqa: S704, patterns are constants of this package, and texts are escaped
 
 

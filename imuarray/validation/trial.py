@@ -24,7 +24,7 @@ from imuarray.gap.inference import assessment, forward_selection, unit_state
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.model.populations import usual_model
 from imuarray.gap.model.workers import runner
-from imuarray.gap.recording.recordings import Recording, recordings_of
+from imuarray.gap.recording.recordings import recordings_of
 from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
@@ -59,7 +59,9 @@ def diagnose_case(case: Case, folder: Path) -> None:
         write_json(folder / "sealed" / f"{case.name}.json", {"case": case.table(), "truth": truth})
         opened = [stack.enter_context(open_log(path)) for path in logs]
         recordings = recordings_of(opened)
-        model = model_with(case.extra, headers_of(recordings)) if case.extra else None
+        plans = [recording.experiment.plan.sensors for recording in recordings]
+        headers = {name: header for plan in plans for name, (header, _) in plan.items()}
+        model = model_with(case.extra, headers.values()) if case.extra else None
         compared = compare(recordings, runner, Reference(model))
         diagnosis = explain(compared, library(case.without), briefly=True).as_json()
         oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
@@ -127,14 +129,6 @@ def model_with(extra: Mapping[str, Any], headers: Iterable[SensorHeader]) -> Mod
     recipe = {key: figure_of(value, extra["effect"]) for key, value in extra["parameters"].items()}
     part = Part(extra["chip"], name=extra["sensor"], effects={extra["effect"]: (recipe,)})
     return replace(usual_model(headers), name="data sheets and more", sensors=(part,))
-
-
-def headers_of(recordings: Iterable[Recording]) -> list[SensorHeader]:
-    """Return the headers of all recorded sensors, each once."""
-    headers = {
-        name: header for recording in recordings for name, (header, _) in recording.experiment.plan.sensors.items()
-    }
-    return list(headers.values())
 
 
 def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ cannot resolve this tie, and the paper rounds some up and some down. A tie match
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
@@ -23,20 +24,6 @@ from typing import Any
 
 Row = Mapping[str, str]
 """One printed row: column name to printed text."""
-
-TABLES: dict[int, str] = {
-    1: "table01_orientation.csv",
-    2: "table02_gyro_high_rate.csv",
-    3: "table03_accel_systematic.csv",
-    4: "table04_gyro_systematic.csv",
-    5: "table05_in_run_summary.csv",
-    6: "table06_bma1_runs.csv",
-    7: "table07_gyro3_runs.csv",
-    8: "table08_temperature_fit.csv",
-    9: "table09_gyro_noise.csv",
-    10: "table10_six_position.csv",
-    11: "table11_turn_on.csv",
-}
 
 _MILLI = 1000
 _LSB_PER_G: dict[tuple[str, str], Decimal] = {
@@ -80,8 +67,9 @@ DEGC: Mapping[tuple[int, str], float] = {
 @cache
 def table(number: int) -> tuple[Row, ...]:
     """Return the rows of Table `number` (1 to 11) in printed order."""
-    text = files("imuarray.studies.paper").joinpath("tables", TABLES[number]).read_text(encoding="utf-8")
-    return tuple(csv.DictReader(text.splitlines()))
+    folder = files("imuarray.studies.paper").joinpath("tables")
+    file = next(file for file in folder.iterdir() if re.fullmatch(rf"table{number:02}_\w+\.csv", file.name))
+    return tuple(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
 
 
 def row_of(number: int, channel: str) -> Row:
