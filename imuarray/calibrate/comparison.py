@@ -102,9 +102,7 @@ class CalibrationComparison:
 
 
 def compare_calibrations(calibrations: Mapping[str, Calibration]) -> CalibrationComparison:
-    """Compare two or more calibrations, given by name. CalibrationError for fewer, for two different sensors with the
-    same name, and if no sensor is in two calibrations.
-    """
+    """Compare calibrations by name. CalibrationError for fewer than two, sensors of equal name, or none in common."""
     names, files = tuple(calibrations), list(calibrations.values())
     if len(files) < 2:
         raise CalibrationError("at least two calibrations are required")

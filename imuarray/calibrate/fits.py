@@ -206,9 +206,7 @@ def misfit_probability(with_it: float, without: float, number: int, freedom: flo
 
 
 def find_outlier(p_values: Sequence[float], sizes: Floats, smallest: float) -> int | None:
-    """Return the index of the least probable pose or turn with an error of at least `smallest` (in the unit of
-    `sizes`), if it is significant for this number of them; otherwise None.
-    """
+    """Return the index of the least probable pose or turn with an error of `smallest` or more, None if by chance."""
     candidates = np.where(sizes >= smallest, p_values, 1.0)
     index = int(candidates.argmin())
     return index if candidates[index] < FALSE_ALARM / len(candidates) else None

@@ -61,14 +61,10 @@ if TYPE_CHECKING:
 
 BIAS = "bias"
 BIAS_OR_SCALE = "bias or scale"
-"""Meaning of a slope on an axis that carried gravity while it was heated in one orientation only, which does not
-distinguish the two (section 5.2.5 of the paper leaves it open).
-"""
+"""Meaning of a slope on an axis with gravity, heated in one orientation, which leaves it open (paper, 5.2.5)."""
 
 THERMOMETERS = ("barometer", "reference", "chip", "relative")
-"""Kinds of thermometers: the log's barometer, its `/reference`, a chip's thermometer with a zero (BMA180: BMA-63) and a
-chip's thermometer without one (L3G4200D: L3G-60).
-"""
+"""Kinds of thermometers: barometer, `/reference`, chip's with a zero (BMA180: BMA-63) or without (L3G4200D: L3G-60)."""
 
 
 NotNegative = Annotated[float, number(0.0)]
@@ -184,9 +180,7 @@ class NoiseLine:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a group of figures: the logs, the software that computed it, the epoch of the first log (ISO 8601 UTC),
-    and the mean temperature (degC).
-    """
+    """Origin of a group of figures: logs, software, epoch of the first log (ISO 8601 UTC), mean temperature (degC)."""
 
     logs: Annotated[tuple[str, ...], several(text(empty=True))] = ()
     software: Annotated[str, text(empty=True)] = ""
@@ -394,9 +388,7 @@ class Calibration:
         return self.or_nominal(sensor)
 
     def or_nominal(self, sensor: Described) -> SensorCalibration:
-        """Return the calibration of `sensor`, or the data sheet's values (no bias, the configured axes) if there is
-        none. CalibrationError if the calibration does not fit the sensor.
-        """
+        """Return the calibration of `sensor`, or the data sheet's values. CalibrationError if it does not fit."""
         stored = self.sensors.get(sensor.name)
         if stored is None:
             return nominal(sensor)

@@ -121,9 +121,7 @@ _CHOSEN = "the longest rest that the sensors show; no phase is marked as one"
 
 
 def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
-    """Return the longest rest detected by the sensors, without the knocks in it; None if there is none, if a `phase` is
-    given, or if the log marks a phase as a rest.
-    """
+    """Return the longest rest by the sensors without its knocks; None if there is none, or a phase is one or given."""
     if phase is not None or choose_stretch(log, None).phase is not None:
         return None
     try:

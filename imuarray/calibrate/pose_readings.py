@@ -126,9 +126,7 @@ def sensor_in(log: Log, sensor: SensorLog) -> SensorLog:
 
 
 def labelled_faces(logs: Sequence[Log]) -> list[Pose]:
-    """Return the faces of several logs: poses that phases name; if there are none, phases of any name that state which
-    axis was up. CalibrationError for an `up` that is not an axis.
-    """
+    """Return the faces of logs: poses that phases name, else phases with an axis up. CalibrationError for no axis."""
     named = [pose for log in logs for pose in named_faces(log)]
     return named or [pose for log in logs for pose in _faces(log, lambda phase: phase.name not in _NOT_AT_REST)]
 

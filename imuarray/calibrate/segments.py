@@ -69,9 +69,7 @@ class SegmentMeans:
 
 @dataclass(frozen=True)
 class TemperatureSeries:
-    """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `stability.THERMOMETERS`.
-    Readings are multiples of `step_degc` (0: not known).
-    """
+    """Temperatures (m,) in degC at times (m,) in s since the epoch, in multiples of `step_degc` (0: unknown)."""
 
     kind: str
     time_s: Floats
@@ -240,9 +238,7 @@ class CorrelatedNoise:
 def likely_noises(
     score: Callable[[Sequence[CorrelatedNoise]], Floats], shortest_s: float, longest_s: float
 ) -> tuple[CorrelatedNoise, ...]:
-    """Return a grid of noises (g) around the likely ones; `score` returns their log likelihoods (g,). Correlation times
-    are between `shortest_s` and `longest_s`.
-    """
+    """Return a grid of noises (g) around the likely ones by their log likelihoods `score`, within these times."""
     box = np.array([np.log([shortest_s, max(longest_s, 2 * shortest_s)]), _LOG_ODDS])
     for _ in range(4):
         points = np.array(list(product(*(np.linspace(low, high, _CELLS) for low, high in box))))
@@ -295,9 +291,7 @@ def weights(log_likelihood: Floats, axis: int | tuple[int, ...] = -1) -> Floats:
 
 @dataclass(frozen=True)
 class MeanVariance:
-    """Estimated variance of a run's mean: values (g,) under g noises, the probabilities `share` (g,) of these, and the
-    degrees of freedom of each value.
-    """
+    """Variance of a run's mean: values (g,) under g noises, their probabilities `share`, and the freedom of each."""
 
     values: Floats
     share: Floats
@@ -315,9 +309,7 @@ class MeanVariance:
         return 2 * self.mean**2 / scatter if scatter > 0 else float(self.own_freedom)
 
     def chance_of(self, variance: float, freedom: int) -> float:
-        """Return the probability that run means that differ by this noise alone have this variance or a larger one: the
-        upper tail of F, averaged over the noises.
-        """
+        """Return the probability that noise alone gives run means such a variance: F's upper tail over the noises."""
         from scipy.special import fdtrc  # slow to import
 
         ratios = variance / np.maximum(self.values, 1e-300)

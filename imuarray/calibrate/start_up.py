@@ -153,9 +153,7 @@ def _first_rests(log: Log, names: Sequence[str]) -> dict[str, RestMean]:
 
 
 def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
-    """Return the states without those of accelerometers if most of these are far from theirs, because the box is in
-    another pose; wrong ranges are kept.
-    """
+    """Return the states without accelerometers if most are far from theirs (another pose); wrong ranges are kept."""
     accelerometers = [name for name in starts if calibration.sensors[name].quantity == "specific_force"]
     far = [name for name in accelerometers if starts[name].fault]
     other_pose = 2 * len(far) > len(accelerometers)

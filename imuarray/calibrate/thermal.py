@@ -274,9 +274,7 @@ class _Axis:
         self.likelihood = self._regression.likelihood
 
     def result(self, share: Floats) -> tuple[float, ...]:
-        """Return offset, slope, drift and quadratic term, the last three each followed by its standard error, averaged
-        over lags of probabilities `share` (l,).
-        """
+        """Return offset, slope, drift and quadratic term, the last three with errors, averaged by `share` (l,)."""
         from scipy.special import stdtr  # slow to import
 
         fits = self._regression.fits(share)
@@ -347,9 +345,7 @@ _LEAST_BEND = 0.05
 
 @dataclass(frozen=True)
 class HeatingFit:
-    """Fit of one sensor in one log: its axes, the kind of thermometer and the lowest and highest temperature
-    (`span_degc`), and the gravity (3,) in g along its axes.
-    """
+    """Fit of a sensor in a log: axes, thermometer, `span_degc` (lowest, highest), gravity (3,) in g along the axes."""
 
     sensor: str
     log: str
@@ -361,9 +357,7 @@ class HeatingFit:
 
 @dataclass(frozen=True, repr=False)
 class ThermalResult:
-    """Result of `calibrate_thermal`: the calibration (of `thermal` only), the fit of every sensor in every log, and the
-    slopes of pairs of opposing axes.
-    """
+    """Result of `calibrate_thermal`: calibration (`thermal` only), the fit of each sensor and log, opposing slopes."""
 
     calibration: Calibration
     heatings: tuple[HeatingFit, ...]

@@ -308,9 +308,7 @@ class Characterisation:
         return Coefficient(value, low, high, fitted["significant"], fitted["doubtful"], unit + _PER[term])
 
     def plot(self, kind: str = "allan") -> Figure:
-        """Return a figure of all sensors: "allan", "spectrum", "autocorrelation" or "histogram". LogError for another
-        kind, MissingExtraError without matplotlib.
-        """
+        """Return a figure "allan", "spectrum", "autocorrelation" or "histogram". LogError, MissingExtraError."""
         if kind not in PLOTS:
             raise LogError(f"plot {kind!r}: allowed are {', '.join(PLOTS)}")
         from imuarray.characterise.plots import FIGURES

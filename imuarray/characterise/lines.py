@@ -450,9 +450,7 @@ _CLEARED = 3
 
 @dataclass(frozen=True)
 class Band(SpectralLine):
-    """A wide line: the middle and the `width_hz` of its power (twice its standard deviation), and the amplitude of a
-    sine of that power, in the series' unit.
-    """
+    """A wide line: middle and `width_hz` of its power (two deviations), and the amplitude of a sine of that power."""
 
     width_hz: float
 

@@ -136,9 +136,7 @@ class IntervalTally:
         return SamplingIntervals(self._rows, *seconds, int(counts[is_gap].sum()), gaps_ns * 1e-9, longest)
 
     def _lengths(self, counts: Times) -> tuple[Floats, Times]:
-        """Return the middles of the bins of a histogram that are not empty, in ns, and the numbers of lengths in
-        them.
-        """
+        """Return the middles of a histogram's bins that are not empty, in ns, and the numbers of lengths in them."""
         bins = np.flatnonzero(counts)
         return np.asarray(bins * float(self._bin_ns) + (self._bin_ns - 1) / 2, np.float64), counts[bins]
 
@@ -281,9 +279,7 @@ def survey(
 
 
 def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
-    """Return the runs of rows for the Allan deviation: the longest ones with at most `EXACT_ROWS` rows together; for
-    the decimated estimator only the longest one.
-    """
+    """Return runs of rows for the Allan deviation: the longest, up to `EXACT_ROWS` rows; one for the decimated."""
     if estimator == "decimated" or not timing.runs:
         return (timing.run,)
     selected: list[slice] = []

@@ -236,9 +236,7 @@ def _are_rows(known: Times, at: Times) -> bool:
 
 
 def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floats]:
-    """Return first and second derivative (k, c) per second of rows (k, c) at their own times (k,) ns, by the splines of
-    `between_gaps`; zero outside the stretches.
-    """
+    """Return first and second derivative (k, c) per second of rows (k, c) at times (k,) ns by splines; 0 outside."""
     first, second = np.zeros(rows.shape[::-1]).T, np.zeros(rows.shape[::-1]).T
     for run in _stretches(known, rows, gap_ns):
         knots = (known[run] - known[0]) * 1e-9

@@ -133,9 +133,7 @@ def delay_noise(
 
 
 def spline_at(knots: Floats, rows: Floats, places: Floats) -> Floats | None:
-    """Return the spline through rows (k, c) at knots (k,) (`alignment._spline`) at increasing places (n,): (n, c). None
-    without compiled code, and for fewer than four knots.
-    """
+    """Return the spline of rows (k, c), k > 3, at knots (k,) at rising places (n,): (n, c). None if not compiled."""
     if not COMPILED or len(knots) < 4:
         return None
     widths, columns = np.diff(knots), np.ascontiguousarray(rows.T)
@@ -163,9 +161,7 @@ def _slopes(widths: Floats, columns: Floats) -> Floats:
 
 
 def quadratic(factors: Floats, triads: Floats) -> Floats | None:
-    """Return (6, n) the quadratic functions of triads (3, n) whose `factors` (6, 10) are those of 1, x, y, z, xx, yy,
-    zz, xy, xz and yz. None without compiled code.
-    """
+    """Return (6, n) quadratic functions of triads (3, n); `factors` (6, 10) of 1, x ... yz. None if not compiled."""
     if not COMPILED:
         return None
     result = np.empty((6, triads.shape[1]))

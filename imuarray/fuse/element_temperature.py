@@ -201,9 +201,7 @@ _MOST_SEGMENTS = 64
 
 
 class _Segment(NamedTuple):
-    """One segment: its end, the mean time of its rows (s), its mean (degC), the temperatures after the lags (k,) at
-    that time (`behind`), and the trend (degC/s) after it.
-    """
+    """One segment: end, mean time (s) and degC, temperatures `behind` the lags (k,), and trend (degC/s) after it."""
 
     end_s: float
     mid_s: float
@@ -364,7 +362,7 @@ def _source(all_sensors: Sequence[Described], sensor: Described) -> Described | 
 
 
 def _kind(source: Described) -> str:
-    """Return the kind of a sensor's thermometer, one of `stability.THERMOMETERS`."""
+    """Return the kind of a sensor's thermometer, one of `model.THERMOMETERS`."""
     if source.quantity == "pressure":
         return "barometer"
     return "chip" if has_zero(source) else "relative"

@@ -46,9 +46,7 @@ class Consistency:
 
 
 def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None:
-    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`), read block by block; None if
-    fewer than twenty frames have both.
-    """
+    """Return the consistency of errors (n, 3) with covariances (n, 6), by blocks; None for fewer than twenty frames."""
     with RowSpool(3) as white:
         for error, covariance in zip(row_blocks(errors), row_blocks(covariances), strict=True):
             white.append(whitened(error, covariance))

@@ -191,9 +191,7 @@ def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase]
 def error_frames_together(
     log: Log, blocks: Iterable[Mapping[str, FusedBlock]], phases: Iterable[Phase] = ()
 ) -> dict[str, dict[str, ErrorFrames]]:
-    """Return frames with errors, truth and covariances by the name of the result and by quantity, from blocks of all
-    results with the same frames. FusionError without a truth.
-    """
+    """Return error frames by result and quantity from blocks of results with common frames. FusionError if no truth."""
     track, stretches = _track_of(log), [(phase.start_ns, phase.end_ns) for phase in phases]
     result: dict[str, dict[str, list[ErrorFrames]]] = {}
     for together in blocks:
@@ -212,9 +210,7 @@ def error_frames_together(
 
 
 class ErrorFramesOnDisk:
-    """Frames with an error of several results, block by block, stored on disk. Results with the same frames share
-    their times and their truth. A context manager.
-    """
+    """Frames with an error of several results, stored on disk; results with equal frames share times and truth."""
 
     def __init__(self, log: Log, folder: Path | None = None) -> None:
         """Store the frames in temporary files, or in permanent files in `folder`. FusionError without a truth."""
@@ -439,9 +435,7 @@ FEWEST_BLOCKS = 5
 
 @dataclass(frozen=True)
 class Gain:
-    """Rms error in SI of the average and of a technique along one box axis ("XYZ": the length of the error vector), and
-    their ratio with its standard error.
-    """
+    """Rms error in SI of the average and a technique along a box axis ("XYZ": the vector's length), and their ratio."""
 
     technique: str
     quantity: str

@@ -56,9 +56,7 @@ _KINDS = MappingProxyType({"i": "int64", "f": "float", "u": "uint8"})
 
 @dataclass(frozen=True)
 class FusedHead:
-    """Description of a fused file: `log` and `calibration` are the paths of the inputs, `sensors` the names, per
-    quantity, of the sensors whose use it records.
-    """
+    """Description of a fused file: paths of `log` and `calibration`, and by quantity the `sensors` whose use it has."""
 
     technique: str
     log: str
@@ -111,9 +109,7 @@ def read_fused_events(path: str | PathLike[str]) -> tuple[FusedEvent, ...]:
 
 @contextmanager
 def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], dict[str, NamedColumn]]]:
-    """Open a fused file: the texts of its head, and its columns by name, `time` first, with the types and shapes of the
-    format. LogError for another, damaged or hostile file.
-    """
+    """Open a fused file: head texts and columns by name, checked. LogError for another, damaged or hostile file."""
     with _opened(Path(path)) as file:
         try:
             with h5py.File(UnclosedFile(Path(path)), "r") as inspected:
@@ -241,9 +237,7 @@ class StoredEvents:
 
 
 def events_in(file: h5py.File, place: str) -> tuple[FusedEvent, ...]:
-    """Return the events that are complete in every column of a file: after an interrupted write some columns are longer
-    than others. LogError if they can't be read.
-    """
+    """Return the events that are complete in every column, as after an interrupted write. LogError if unreadable."""
     group = file.get("events")
     if group is None:
         return ()

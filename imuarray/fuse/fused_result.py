@@ -1,6 +1,4 @@
-"""A fused log in memory: one specific force and one angular rate per frame with their covariances, events of sensors,
-and errors if the truth is known.
-"""
+"""A fused log in memory: a specific force and an angular rate per frame, covariances, events, errors if known."""
 
 from __future__ import annotations
 

@@ -328,9 +328,7 @@ def live(
     watch: Watch = WATCH,
     patience: Patience = PATIENCE,
 ) -> FusionStream[FusedBlock]:
-    """Return a stream that fuses rows of `sensors` as they arrive, with the same result as `fuse` with `causal`.
-    FusionError if the sensors are not sufficient for the technique.
-    """
+    """Return a stream that fuses rows of `sensors` as they come, like `fuse` with `causal`. FusionError if too few."""
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # the order in a log
     array = _Array(_by_quantity(sensors, only, "the array"), calibration, technique, watch)
     temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)

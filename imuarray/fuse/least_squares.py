@@ -102,18 +102,14 @@ class SlowErrors:
 
 @dataclass(frozen=True)
 class AxisNoise:
-    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and the noise of their mean that the correction of
-    delays subtracts (`Frames.delay_noise`; None: no delays).
-    """
+    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and what corrected delays subtract (None: no delays)."""
 
     rows: Floats
     rms: Floats
     delay_noise: npt.NDArray[np.float32] | None = None
 
     def covariance(self, gains: Floats, used: Booleans) -> Floats:
-        """Return covariances (n, 6) by noise of triads with `gains` (n, 3, m) of the axes `used` (n, m); (1, 6) if
-        there is one gain for all frames, and no delay.
-        """
+        """Return covariances (n, 6) by noise of triads of `used` axes (n, m) with `gains` (n, 3, m); (1, 6) for one."""
         scatter = np.where(used[:, None, :], gains * self.rms, 0.0)
         covariance = entries(np.einsum("nim,njm->nij", scatter, scatter))
         return covariance if self.delay_noise is None else covariance + self.by_delays(gains)
@@ -150,9 +146,7 @@ class AxisNoise:
 
 
 def weighted(values: Floats, weights: Floats, noise: AxisNoise, slow: SlowErrors | None = None) -> Estimate:
-    """Solve weighted least squares for each frame, with weights (n, m), or (1, m) for all; the covariance includes the
-    `noise` and the `slow` errors of the axes.
-    """
+    """Solve least squares by frame with weights (n, m) or (1, m); the covariance includes `noise` and `slow` errors."""
     used = weights > 0
     triad, gains, solvable = _solved(values, weights, noise.rows)
     covariance = noise.covariance(gains, used[: len(gains)])

@@ -18,9 +18,7 @@ from imuarray.spelling import guess
 
 @dataclass(frozen=True)
 class LearnedBias:
-    """The current slow error of one axis in m/s2 or rad/s along the axis, without errors of its response, with its
-    standard deviation and the prior one (`sd_before`).
-    """
+    """The slow error of an axis in m/s2 or rad/s, without errors of response, its deviation and the prior's."""
 
     axis: str
     bias: float

@@ -1,6 +1,4 @@
-"""Blocks of frames and rows of numbers in temporary files, so that results of a whole log, and a second pass over it,
-need no memory that grows with it.
-"""
+"""Frames and rows in temporary files, so that results of a log, and a second pass, need no growing memory."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Report of a calibration: biases, scale factors and temperature slopes with their standard errors, and the residuals
-of the poses of a log that it calibrates.
-"""
+"""Report of a calibration: biases, scale factors, temperature slopes with errors, residuals of a log's poses."""
 
 from __future__ import annotations
 

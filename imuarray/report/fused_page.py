@@ -1,6 +1,4 @@
-"""Report of a fused result (technique, noise, use of sensors, values over time), and of the gain of each technique over
-the simple average on a log with truth.
-"""
+"""Report of a fused result (technique, noise, sensors, values), and of each technique's gain on a log with truth."""
 
 from __future__ import annotations
 

@@ -32,9 +32,7 @@ from imuarray.units import SI_PER_UNIT
 SILENT_S = 1.0
 """Least time in s by which the readings of a silent sensor begin after those of the others, or end before them."""
 PERIODS = 2.5
-"""Length of a pause in periods of the sensor above which readings are missing: if the array is polled in alternating
-order, readings are up to two periods apart.
-"""
+"""Pause, in periods of the sensor, above which readings are missing; alternating polls are up to two periods apart."""
 
 _MOST_STRETCHES = 64_000
 """Largest number of stretches of all sensors: 28 bytes each, a third more as text, so that the page is below 5 MB."""

@@ -307,9 +307,7 @@ _MOST_NAMED = 5
 
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return a section of results for a committed page: date, command, fixed thresholds, every figure, those that miss
-    their bar, and plots (file by text alternative).
-    """
+    """Return results for a committed page: date, command, thresholds, figures, failures, plots (file by text)."""
     lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
     lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
     lines += ["", "```sh", command.replace("```", ""), "```"] if command else []

@@ -30,9 +30,7 @@ _CLAIMED = 1.5
 
 
 def recording_verdict(log: Log, doubts: Sequence[str] = ()) -> Verdict:
-    """Return whether a recording is healthy, and what to do if it is not; with `doubts` about an imported recording,
-    their number and the first of them.
-    """
+    """Return whether a recording is healthy, or what to do; `doubts` about an import add their number and the first."""
     sensors = log.sensors
     first_ns = min((int(sensor.time[0]) for sensor in sensors.values() if len(sensor)), default=0)
     last_ns = max((int(sensor.time[-1]) for sensor in sensors.values() if len(sensor)), default=0)

@@ -380,9 +380,7 @@ REPLICATES = 60
 
 
 def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
-    """Record, calibrate, fuse and report into `folder`; return the summary, JSON-ready. OutputExistsError before
-    anything is recorded, unless `options.force`.
-    """
+    """Record, calibrate, fuse and report into `folder`; return a JSON-ready summary. OutputExistsError at first."""
     prepare_folder(folder, options.force)
     logs, tumble, calibration = record_and_fuse(config, folder, options, report)
     rows = compare(logs, calibration)

@@ -54,9 +54,7 @@ class CauseClaim(NamedTuple):
 
 
 class Fold(NamedTuple):
-    """Calibration error and Brier score of probabilities that were fitted to other cases, over `causes` causes, and the
-    calibration error expected by chance.
-    """
+    """Calibration error and Brier score of probabilities fitted to other cases, over `causes`, and error by chance."""
 
     part: str
     error: float

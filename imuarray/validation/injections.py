@@ -44,9 +44,7 @@ _MOVES = {"g": 0.5, "dps": 20.0}
 
 
 class Rows(NamedTuple):
-    """Rows of one sensor: the times at which they were read (n,) s since the log's first row, stamps (n,) ns, counts
-    (n, 3), and which of the log's rows they are.
-    """
+    """Rows of a sensor: reading times (n,) s since the first, stamps (n,) ns, counts (n, 3), which rows they are."""
 
     at_s: Floats
     time: Integers

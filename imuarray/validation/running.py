@@ -141,9 +141,7 @@ class InlineExecutor:
 
 
 Workers = Processes | Cluster | InlineExecutor
-"""An executor that states how many calls it runs in parallel now (`places`; 0 if all have to wait), and which
-exceptions the future of a call raises when its worker died (`deaths`).
-"""
+"""An executor with the number of parallel calls now (`places`) and the exceptions of a dead worker (`deaths`)."""
 
 
 def _client(address: str) -> Any:
@@ -160,9 +158,7 @@ def _client(address: str) -> Any:
 __all__ = ["LOST", "Job", "RunSummary", "State", "executor_of", "run_cases"]
 
 Job = Callable[[Case, Path], None]
-"""A module-level function that runs a case and writes sealed/NAME.json and, last, outcomes/NAME.json into the folder.
-The files depend on the case alone.
-"""
+"""A function that runs a case and writes sealed/NAME.json and, last, outcomes/NAME.json, which depend on it alone."""
 State = Literal["done", "failed", "lost"]
 
 LOST = "its worker died twice"

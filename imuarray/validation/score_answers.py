@@ -42,9 +42,7 @@ _SAME = 0.05
 
 @dataclass(frozen=True)
 class ActiveMechanism:
-    """A mechanism that was active: its size in detection limits (nan if it has none), its sensors and axes (empty: all,
-    or unknown), and its correct effect names.
-    """
+    """An active mechanism: size in detection limits (nan: none), sensors, axes (empty: all), correct effect names."""
 
     mechanism: str
     limits: float

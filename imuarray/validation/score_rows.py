@@ -367,9 +367,7 @@ def is_in_class(answer: Answer) -> bool:
 
 
 def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
-    """Return whether the likely causes of the right name, including the first cause, affect exactly those of `sensors`
-    that the truth names, and its axes if it names any.
-    """
+    """Return whether likely causes of the right name affect exactly the truth's `sensors`, and its axes if named."""
     first, (work, *_) = answer.first, answer.active
     if first is None:
         return False
@@ -380,9 +378,7 @@ def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
 
 
 def are_both_named(answer: Answer) -> bool:
-    """Return whether every mechanism has a likely cause of its name at its sensors. One cause counts for two mechanisms
-    only if they have a name in common.
-    """
+    """Return whether every mechanism has its own likely cause at its sensors; one counts twice for a common name."""
     works, causes = answer.active, answer.named
     if not _are_disjoint([work.resembles for work in works]):
         return all(any(work.is_located_by(cause) for cause in causes) for work in works)
@@ -533,9 +529,7 @@ _KINDS = ("single", "pair", "removal")
 
 
 class Closure(NamedTuple):
-    """One case of the full plan: the reported closed share with its interval, and the oracle's. `is_right`: the first
-    cause is right, or the extra effect was named.
-    """
+    """A case of the full plan: reported closed share with interval, oracle's share, and whether the cause is right."""
 
     name: str
     kind: str

@@ -151,9 +151,7 @@ class _LogPair:
         self.track = _track(plain)
 
     def motion(self) -> tuple[Floats, Floats, Floats]:
-        """Return the commanded motion at the rows: force (n, 3) in g and rate (n, 3) in dps, in the sensor's axes, and
-        temperature (n,) in degC; zeros without a track.
-        """
+        """Return the commanded force (n, 3) in g and rate (n, 3) in dps, sensor axes, degC (n,); 0 without a track."""
         count = len(self.time)
         if self.track is None:
             return np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)

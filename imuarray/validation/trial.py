@@ -141,9 +141,7 @@ def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str
 
 
 def frozen_thresholds() -> dict[str, Any]:
-    """Return the thresholds of the diagnosis by name, with the version of the software. They are recorded when a run
-    begins, so that a change during the run is noticed.
-    """
+    """Return the thresholds of the diagnosis and the software's version, noted so that a change is noticed."""
     return {
         "significance level of a gap": assessment.LEVEL,
         "least gain (nats) of a candidate that is pursued": forward_selection.WORTH,

@@ -147,9 +147,7 @@ class World:
         return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
 
     def twins(self) -> list[tuple[str, str]]:
-        """Return the pairs of sensors of one chip and range that are mounted differently: two that are mounted alike
-        can be exchanged without any change of the readings.
-        """
+        """Return pairs of sensors of one chip and range in different mountings; equal ones could be exchanged."""
         pairs = itertools.combinations([(name, self.sensors[name]) for name in self.inertial], 2)
         return [
             (name, other)

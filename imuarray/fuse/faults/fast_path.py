@@ -40,9 +40,7 @@ _UNEVEN = 1e-6
 
 
 class DriftCheck(NamedTuple):
-    """The `limits` of drifts, the number of the `first` window of a series before which they are checked, and after how
-    many windows `every` further check follows.
-    """
+    """The `limits` of drifts, the `first` window of a series to check, and `every` how many windows a check follows."""
 
     limits: DriftLimits
     first: int

@@ -206,9 +206,7 @@ class FaultIsolation:
         return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
 
     def advance(self, stretch: WindowSeries, windows: range) -> int:
-        """Process the next windows, which have these numbers in `stretch`, up to the first unusual one, and return
-        their number: 0 if the first is unusual.
-        """
+        """Process the windows of these numbers in `stretch` up to the first unusual one, and return its number."""
         if self._silence.any or self._still.any or not all(exclusion.named for exclusion in self._out):
             return 0
         before_baseline = _BASELINE_WINDOWS - 1 - self._count % _BASELINE_WINDOWS

@@ -110,9 +110,7 @@ def compare_triad(
 
 
 def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:
-    """Return the range of the chip that explains the ratio of a triad's readings (or, without a signal, of its
-    scatter), and the factor of that range; None if there is none.
-    """
+    """Return the chip's range that explains the ratio of readings (or scatter), and its factor; None if none does."""
     table = ranges.get(axis.chip, {})
     configured = min(table, key=lambda span: abs(span * unit_si - axis.range_si), default=0.0)
     factors = {span: table[span] / table[configured] for span in table if table[span] != table[configured]}
@@ -188,9 +186,7 @@ _MARGIN_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Suspect:
-    """The best hypothesis: its axes (indices), its gain over no fault, the test, and the sensors (numbers) that explain
-    the window nearly as well (empty: it is isolated).
-    """
+    """The best hypothesis: axes, gain over no fault, test, and sensors that explain the window nearly as well."""
 
     axes: tuple[int, ...]
     gain: float

@@ -42,9 +42,7 @@ BIAS_SI: Mapping[str, float] = MappingProxyType(
 large (Tables 3 and 4 of the paper; BMA-112, ADX-60, L3G-70)."""
 
 RESPONSE = 0.04
-"""Standard deviation of each error of response: 2 % of scale and, for uncalibrated units, some degrees of misalignment
-(BMA-119, ADX-66; the boards of the paper's section 5.2.1).
-"""
+"""Standard deviation of errors of response: 2 % of scale, or degrees of misalignment (BMA-119, ADX-66; paper 5.2.1)."""
 
 DELAY_S = 0.003
 """Standard deviation of the delay between the filters of two chips."""

@@ -77,9 +77,7 @@ class Dynamics:
         frames: slice,
         evidence: SegmentEvidence | None = None,
     ) -> None:
-        """Solve the triads of `readings`, which are `frames` of the solution, increase their covariances by the effect
-        of the change, and add them to the `evidence`.
-        """
+        """Solve the triads of `readings` in `frames`, widen their covariances by the change; add them to `evidence`."""
         packed = view.packed
         if packed is None or not self._solve_alike(view, packed, readings, solution.part(frames), evidence):
             solve(view, readings, solution, frames)
@@ -311,9 +309,7 @@ class SegmentEnds:
 
 
 class ArrayFilter:
-    """Estimates the slow errors of the rows of one quantity and the triads of consecutive blocks of frames; `record` is
-    called with the step of every segment.
-    """
+    """Estimates slow errors of one quantity and triads of consecutive blocks; `record` gets each segment's step."""
 
     def __init__(
         self,
@@ -373,9 +369,7 @@ _HELD_BYTES = 1 << 20
 
 
 class Spool:
-    """A stack of groups of arrays, the last ones in memory and the others in a temporary file, which is deleted with
-    the object. A group is stored as one row of numbers.
-    """
+    """A stack of groups of arrays, the last in memory, others as rows of numbers in a temporary file."""
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool

@@ -150,9 +150,7 @@ def learned_biases(axes: Sequence[Axis], estimator: ArrayFilter) -> list[Learned
 
 
 class BiasTemperature:
-    """Tracks the temperatures of the sensors over consecutive blocks; an unknown temperature is the last known one, or
-    that of the bias before the first.
-    """
+    """Tracks the sensors' temperatures over blocks; an unknown one is the last known, or the bias's at first."""
 
     def __init__(self, axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> None:
         """`others` rows follow those of the axes, and have no temperature."""

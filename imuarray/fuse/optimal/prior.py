@@ -68,9 +68,7 @@ class AxisErrors:
 
     @property
     def noise_of_means(self) -> float:
-        """Standard deviation of white noise with the same variance of means over many readings: first-order correlation
-        r increases that variance by (1 + r) / (1 - r).
-        """
+        """Standard deviation of white noise whose means vary as much, with the correlation of neighbours."""
         return float(self.noise * np.sqrt((1 + self.correlation) / (1 - self.correlation)))
 
 

@@ -79,9 +79,7 @@ class Pair:
 
 
 def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Pair]:
-    """Return every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated
-    directions; measuring ranges may differ.
-    """
+    """Return opposing axes of two of `sensors` (one quantity) of a design, as calibrated; ranges may differ."""
     parameters = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
     return [
         Pair(

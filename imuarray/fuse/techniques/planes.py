@@ -134,9 +134,7 @@ class PlaneBlend:
 
 
 def dilution(watched: Floats, others: Floats) -> Floats:
-    """Return the noise (k,) along `watched` directions (k, 3) of a solution from the axes `others` (m, 3), in that of
-    one axis; inf where they do not determine it.
-    """
+    """Return the noise (k,) along `watched` (k, 3) of a solution by `others` (m, 3), over one axis'; inf if unknown."""
     u, size, _ = np.linalg.svd(others.T @ others)
     with np.errstate(divide="ignore"):
         variance = np.where(size > 1e-9 * max(len(others), 1), 1 / size, np.inf)

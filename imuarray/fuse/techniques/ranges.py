@@ -270,9 +270,7 @@ class SegmentMoments(NamedTuple):
 
 
 def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> SegmentMoments:
-    """Return the sums over each whole segment. A frame counts if it and its neighbours are steady, and if no axis that
-    is present in the segment is missing in it.
-    """
+    """Return sums over each whole segment; a frame counts if it and its neighbours are steady and complete."""
     count, axes = len(rows.time) // SEGMENT, len(directions)
     shape = (count, SEGMENT)
     end_ns = rows.time[SEGMENT - 1 :: SEGMENT]

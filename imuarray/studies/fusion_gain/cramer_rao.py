@@ -150,9 +150,7 @@ def slow_covariance(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Floats:
 
 
 def frame_weights(law: ErrorLaw, present: Booleans) -> tuple[Floats, Floats]:
-    """Return the weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3);
-    FusionError if the axes don't span space.
-    """
+    """Return one frame's weights G (3, m), zero without a reading, and covariance (3, 3); FusionError if too few."""
     rows = law.directions_box / law.noise_si[:, None] * present[:, None]
     normal = rows.T @ rows
     if not np.linalg.cond(normal) < 1e9:
@@ -211,9 +209,7 @@ def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequ
 
 
 def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> ErrorLaw:
-    """Return the law of the errors that `true_calibration` does not remove, per axis of these sensors (of one
-    quantity), in order, in SI along their true axes.
-    """
+    """Return the law of the errors after `true_calibration`, per axis of these sensors, in SI along their true axes."""
     units = [_calibrated(header, effects.get(header.name, ())) for header in headers]
     noise = np.concatenate([unit.noise_lsb / unit.lsb_per_si for unit in units if unit.noise_lsb is not None])
     rows = np.concatenate([unit.directions_box for unit in units])

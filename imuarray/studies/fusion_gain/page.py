@@ -95,9 +95,7 @@ _MARKERS = "osD^vPX*"
 
 
 def ratios_figure(panels: Mapping[str, Sequence[GainRow]], ratio_name: str) -> Drawing:
-    """Draw a panel for each heading, with a row for each experiment and a mark for each technique: its `over_mean` or
-    `over_bound` (`ratio_name`) with its interval.
-    """
+    """Draw a panel per heading, a row per experiment, a mark per technique: its ratio `ratio_name` with interval."""
     figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
     axes_row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     techniques = list(dict.fromkeys((*technique_names(), OPTIMAL_CAUSAL, CAUSAL, SMOOTHED)))

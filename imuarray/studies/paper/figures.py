@@ -249,9 +249,7 @@ def correlogram(counts: Counts) -> Floats:
 
 
 def spectrum(counts: Counts, rate: float) -> tuple[Floats, Floats]:
-    """Return Hz (k,) and amplitude density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17 and 19), without 0 Hz and
-    the Nyquist frequency, which are half a bin wide.
-    """
+    """Return Hz (k,) and density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17, 19) without half-wide end bins."""
     hz, power = signal.welch(counts.astype(float), rate, nperseg=SEGMENT, axis=0)
     return np.asarray(hz[1:-1]), np.sqrt(power[1:-1])
 

@@ -382,9 +382,7 @@ def compare_numbers(name: str, replica: Replica, recomputed: Recomputed) -> list
 
 
 def count_agreement(lines: Sequence[PrintedNumber]) -> list[str]:
-    """Return the numbers of statistics that were simulated, that are within 1, 2 and 3 uncertainties, that were
-    recomputed, and that are equal, near or neither.
-    """
+    """Return how many statistics were simulated, agree within 1, 2, 3, were recomputed, are equal, near or neither."""
     twins = [line.twin for line in lines if line.twin]
     cells = [line.cell for line in lines if line.cell]
     equal = sum(cell.matches for cell in cells)

@@ -121,9 +121,7 @@ def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
 
 
 def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
-    """Return (channel, column, printed standard deviation, violated bound) of every standard deviation of Table 11 that
-    is impossible for the printed range.
-    """
+    """Return (channel, column, printed deviation, violated bound) where Table 11's range excludes its deviation."""
     result = []
     for row in table(11):
         for half in ("runs", "cont"):
