@@ -20,7 +20,6 @@ from imuarray.simulate.effects.noise import Tone
 from tests.gap import multirate_logs
 from tests.gap.effects.evidence_of import evidence_of
 from tests.gap.small_bench import Run
-from tests.selection import some
 
 REPLICATES = 40
 
@@ -91,10 +90,16 @@ CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, multirate_logs.Chan
 }
 
 
-@pytest.mark.parametrize("case", some(CASES, 0, 1))
-def test_the_effect_is_the_first_cause(case: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("case", "names"),
+    [
+        pytest.param("rows of one rate are correlated", ("G1",), marks=pytest.mark.slow),
+        *(pytest.param(case, ("G1", "G2", "G3"), marks=pytest.mark.campaign) for case in CASES),
+    ],
+)
+def test_the_effect_is_the_first_cause(case: str, names: tuple[str, ...], tmp_path: Path) -> None:
     effect, sensors, changes, told = CASES[case]
-    recordings = multirate_logs.recorded(tmp_path, changes)
+    recordings = multirate_logs.recorded(tmp_path, changes, names=names)
     found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     cause = found.causes[0]
     assert (cause.effect, cause.sensors) == (effect, sensors)

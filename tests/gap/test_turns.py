@@ -210,8 +210,8 @@ def test_the_up_direction_in_a_movement_is_integrated_from_both_ends(tmp_path: P
     assert motion.up_in_movement(2 * SECOND) is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("others", some([0, 1], 1, 0))
+@pytest.mark.campaign
+@pytest.mark.parametrize("others", [0, 1])
 def test_the_gyroscope_with_permuted_axes_is_named(tmp_path: Path, others: int) -> None:
     """Two gyroscopes differ from each other; the turns determine which is wrong, or that a single one is."""
     responses = {"G1": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])}

@@ -144,7 +144,7 @@ def columns_of(values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
-@settings(max_examples=examples(60), deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(TRIADS, st.sampled_from(list(FORMATS)), st.integers(-100_000, 100_000))
 def test_codes_with_any_offset_are_kept(triads: list[tuple[int, int, int]], form: str, offset: int) -> None:
     counts = np.array(triads, np.int64)
@@ -157,7 +157,7 @@ def test_codes_with_any_offset_are_kept(triads: list[tuple[int, int, int]], form
 
 
 @pytest.mark.slow
-@settings(max_examples=examples(120), deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     TRIADS,
     st.sampled_from(list(FORMATS)),

@@ -241,7 +241,7 @@ def check_truth(log: Log, force: np.ndarray, error: tuple[float, float]) -> None
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(case, id=name, marks=pytest.mark.slow if at else ())
+        pytest.param(case, id=name, marks=() if not at else pytest.mark.slow if at % 2 else pytest.mark.campaign)
         for at, (name, case) in enumerate(CASES.items())
     ],
 )

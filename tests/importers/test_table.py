@@ -372,4 +372,4 @@ def test_memory_does_not_grow_with_the_table(tmp_path: Path, monkeypatch: pytest
         return most
 
     peak(500)
-    assert peak(120_000) < 1.3 * peak(40_000)  # both are longer than the blocks of the report
+    assert peak(72_000) < 1.3 * peak(36_000)  # both are longer than the blocks of the report

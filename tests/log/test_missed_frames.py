@@ -141,7 +141,7 @@ quarter costs n frames while a frame takes less than three quarters."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", some(BLOCKS, 1))
+@pytest.mark.parametrize("name", some(BLOCKS, 1, 2))
 @pytest.mark.parametrize("sensors", some(["Gyro1", "BMA1,BMA2,ADXL1,Gyro1,Gyro2,BMP180", "ADXL1,HMC1"], 1))
 def test_missed_frames_of_a_blocked_recorder_are_counted(tmp_path: Path, name: str, sensors: str) -> None:
     """For any cause of blocking: the summary and the log have the same missed frames and duration."""

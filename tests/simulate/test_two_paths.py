@@ -102,7 +102,7 @@ MOTIONS: dict[str, Motion] = {
 }
 
 
-@pytest.fixture(scope="module", params=some(MOTIONS, 2, 0))
+@pytest.fixture(scope="module", params=some(MOTIONS, 1, 0))
 def pair(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     emulated, simulated = both(MOTIONS[request.param], tmp_path_factory.mktemp(request.param))
     yield emulated, simulated

@@ -63,10 +63,10 @@ def test_a_world_without_a_mechanism_has_no_gap(tmp_path: Path, seed: int) -> No
         assert compared.comparison.localisation.p > 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_dead_bit_is_detected_over_all_phases(tmp_path: Path) -> None:
     """Bit 4 of a gyroscope with a noise of 18 counts is always clear: half of the codes are missing, in
-    seven phases.
+    seven phases. The quick half has `test_a_dead_bit_is_suggested` of tests/gap/effects.
     """
     with recorded(tmp_path, 1_060_059, Put("stuck_bit", 3.66, 5.0, ("Gyro3",))) as logs:
         compared = compare(recordings_of(logs), runner, Reference(None), replicates=REPLICATES)

@@ -16,7 +16,7 @@ from imuarray.cli import main
 from imuarray.log import open_log
 from imuarray.validation.generator import record_in
 from imuarray.validation.worlds import KINDS, MOST_READINGS_PER_S, MOST_ROWS, MOST_SECONDS, draw_world
-from tests.selection import examples
+from tests.selection import examples, some
 
 SEEDS = st.integers(0, 20_000_000_000)
 
@@ -96,7 +96,7 @@ SMALL = [seed for seed in range(200) if draw_world(seed).rows < 14_000][:3]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", SMALL)
+@pytest.mark.parametrize("seed", some(SMALL, 1, 0))
 def test_logs_of_a_world_are_written_and_read(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As `imuarray info` reads them: the sensors, about the expected number of rows, the noted phases, no truth;
     sensors that the recorder does not read are absent. The same seed gives the same rows.
