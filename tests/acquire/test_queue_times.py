@@ -43,11 +43,11 @@ class LateBoard(Board):
     ("die", "rate_hz", "error", "on_spi"),
     [
         pytest.param("icm42688", 1000, 0.01, True, marks=pytest.mark.slow),
-        pytest.param("icm42688", 1000, -0.01, True, marks=pytest.mark.slow),
+        pytest.param("icm42688", 1000, -0.01, True, marks=pytest.mark.campaign),
         pytest.param("icm42688", 1000, 0.0, False, marks=pytest.mark.slow),
-        pytest.param("icm42688", 200, -0.004, True, marks=pytest.mark.slow),
+        pytest.param("icm42688", 200, -0.004, True, marks=pytest.mark.campaign),
         pytest.param("lsm6dso", 416, 0.01, False, marks=pytest.mark.slow),
-        pytest.param("mpu6500", 500, -0.01, False, marks=pytest.mark.slow),
+        pytest.param("mpu6500", 500, -0.01, False, marks=pytest.mark.campaign),
         ("mpu6050", 500, 0.0033, False),
     ],
 )

@@ -218,7 +218,7 @@ TECHNIQUES = {"mean": MEAN, "planes": PLANES, "optimal": SMOOTHED, "causal": CAU
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensor", ARRAY)
+@pytest.mark.parametrize("sensor", some(ARRAY, 4, 0))
 def test_a_fault_of_every_kind_at_rest_is_isolated(sensor: str, tmp_path: Path) -> None:
     """Each fault with another technique."""
     turn = ARRAY.index(sensor)
@@ -231,11 +231,11 @@ def test_a_fault_of_every_kind_at_rest_is_isolated(sensor: str, tmp_path: Path) 
     ("technique", "sensor", "fault"),
     [
         ("mean", "BMA2", "reset"),
-        ("mean", "Gyro2", "reset"),
+        pytest.param("mean", "Gyro2", "reset", marks=pytest.mark.campaign),
         ("planes", "ADXL1", "stuck"),
-        ("causal", "BMA1", "reset"),
+        pytest.param("causal", "BMA1", "reset", marks=pytest.mark.campaign),
         ("causal", "Gyro1", "biased"),
-        ("optimal", "Gyro3", "stuck"),
+        pytest.param("optimal", "Gyro3", "stuck", marks=pytest.mark.campaign),
     ],
 )
 def test_a_fault_in_a_vehicle_is_isolated(technique: str, sensor: str, fault: str, tmp_path: Path) -> None:

@@ -207,7 +207,10 @@ SENSORS = {
 
 @pytest.mark.parametrize(
     "write",
-    [pytest.param(write, marks=() if write in QUICK else pytest.mark.slow) for write in SENSORS],
+    [
+        pytest.param(write, marks=() if write in QUICK else pytest.mark.slow if at % 2 else pytest.mark.campaign)
+        for at, write in enumerate(SENSORS)
+    ],
     ids=lambda write: write.__name__,
 )
 def test_the_guessed_map_gives_the_true_values(

@@ -129,7 +129,11 @@ QUICK = ("long names with units",)
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow if at % 2 else pytest.mark.campaign)
+        for at, name in enumerate(CASES)
+    ],
 )
 def test_a_guessed_map_imports_unchanged(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, expected = CASES[name]
