@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from imuarray.calibrate import gravity
-from imuarray.characterise import bands, codes, processing, rate_changes, result
+from imuarray.characterise import codes, lines, processing, result, stretch
 from imuarray.importers import (
     arrays,
     cells,
@@ -53,11 +53,11 @@ CHOSEN = {
     (codes, "TURNING"): 1 / 3,
     (processing, "SCATTER"): 6.0,
     (processing, "LEAST_SHARE"): 0.3,
-    (rate_changes, "PIECE_ROWS"): 64,
-    (rate_changes, "CHANGED"): 1.25,
+    (stretch, "PIECE_ROWS"): 64,
+    (stretch, "CHANGED"): 1.25,
     (gravity, "FACE_COSINE"): 0.97,
-    (bands, "RISES"): 1.35,
-    (bands, "SLACK"): 1.08,
+    (lines, "RISES"): 1.35,
+    (lines, "SLACK"): 1.08,
     (plausibility, "RATES_HZ"): (0.5, 20_000.0),
     (plausibility, "LATE_S"): 0.1,
     (plausibility, "LATE_WINDOWS"): 16,
