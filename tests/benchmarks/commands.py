@@ -83,6 +83,15 @@ class Spent(NamedTuple):
     megabytes: float
 
 
+_LAUNCHER = """
+import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+_, status, used = os.wait4(process.pid, 0)
+print(os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss)
+"""
+"""A small process that starts a command: Linux counts the memory of the process that starts it as the command's own."""
+
+
 def rows(full: bool = False) -> list[Row]:
     """Every command beside its peers; with `full` on the long log, and its memory on one ten times as long."""
     with tempfile.TemporaryDirectory() as name:
@@ -185,12 +194,12 @@ def _run(words: Sequence[str], source: Path = HERE.parent.parent) -> Spent:
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | one_thread
     environment["PYTHONPATH"] = str(source)
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment, cwd=source)
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode != 0:
-        raise RuntimeError(f"{' '.join(words)}: exit code {process.returncode}")
-    return Spent(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    launched = [sys.executable, "-I", "-S", "-c", _LAUNCHER, *words]
+    answer = subprocess.run(launched, env=environment, cwd=source, stdout=subprocess.PIPE, text=True, check=True)
+    exit_code, seconds, kilobytes = answer.stdout.split()
+    if int(exit_code) != 0:
+        raise RuntimeError(f"{' '.join(words)}: exit code {exit_code}")
+    return Spent(float(seconds), int(kilobytes) / 1024)
 
 
 if __name__ == "__main__":
