@@ -532,7 +532,11 @@ QUICK = (
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow if at % 2 else pytest.mark.campaign)
+        for at, name in enumerate(CASES)
+    ],
 )
 def test_the_report_names_the_defect(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, table_map, code, message = CASES[name]

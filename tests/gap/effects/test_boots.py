@@ -129,7 +129,7 @@ def test_another_range_with_an_onset_in_each_log_is_suggested() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "sensor", "range_"), some([("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)], 1)
+    ("kind", "sensor", "range_"), some([("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)], 1, 1)
 )
 def test_another_range_in_all_logs_is_suggested(kind: str, sensor: str, range_: float) -> None:
     assert range_ in {one.range for one in resets(kind, sensor, RangeReset(range_))}
