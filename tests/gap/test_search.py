@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.inference import search
+from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Span, When
 from imuarray.gap.inference.forward_selection import (
@@ -27,6 +28,7 @@ from imuarray.gap.inference.forward_selection import (
     guesses_of,
     likeliest,
     placebo_of,
+    replicate_state,
     replicates_of,
     scores_by_wider,
     search_round,
@@ -41,6 +43,9 @@ from imuarray.simulate.effects.conversion import Saturation
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import Stuck
 from imuarray.simulate.effects.timing import ClockError, Skew
+from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.motion.stimulus import Motion
+from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.search_inputs import evidence, found_in, standing_of
 from tests.gap.small_bench import LINE, Run, prepared, static
 from tests.gap.unit_states import drawn
@@ -141,6 +146,20 @@ def test_no_change_has_no_gain(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     found = confirm(bench, standing, FittedHypothesis(Hypothesis(()), standing.models))
     assert (found.gain, found.train_gain) == (pytest.approx(0, abs=1e-6), pytest.approx(0, abs=1e-6))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [("A1",), ("G1",), ("A1", "A2")])
+def test_replicates_of_a_unit_are_those_of_the_comparison(unit: Unit) -> None:
+    """The same numbers draw the same parts, whether the other sensors are simulated or not."""
+    motions: list[tuple[str, Motion]] = [("tumble", Tumble(10.0, 1.0)), ("motion", HandShake(still_s=5, motion_s=20))]
+    bench, campaign = prepared(motions, ("A1", "A2", "G1"))
+    comparison = compare_with_base(bench, campaign, Run(bench), 20)
+    state = search._states_of(comparison, [unit], Run(bench))[unit]
+    alone = replicate_state(bench, replace(state, values=state.values[:0], misfit=0.0))
+    np.testing.assert_array_equal(state.values, alone.values)
+    assert state.misfit == alone.misfit
+    assert np.isfinite(state.values).mean() > 0.8
 
 
 def test_a_single_sensor_excludes_common_statistics() -> None:

@@ -193,17 +193,17 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
         yield (*statistic, "kind", kind, key.phase), (*statistic, "phase", key.phase, state), (*statistic, "any", state)
 
 
-ENOUGH: Mapping[int, float] = MappingProxyType({24: 0.4, 40: 0.25, 64: 0.16, 96: 0.13})
+ENOUGH: Mapping[int, float] = MappingProxyType({20: 0.35, 28: 0.28, 40: 0.22, 64: 0.16, 96: 0.13})
 """Numbers of replicates after which no more are simulated if the p-value exceeds the limit. The limits never rise, and
 are so far above `LEVEL` that hardly a gap is missed: a gap that all replicates would detect at p = 0.05 is missed in
 less than one of two hundred cases.
 """
 
 
-CLEAR, LEAST_CLEAR = 1.5, 40
-"""Ratio of the largest score of a recording to the largest score of all replicates from which on no more are simulated,
-and the least number of replicates for it. By the tails of the scores a gap is then certain, and more replicates would
-change little.
+CLEAR: Mapping[int, float] = MappingProxyType({28: 5.0, 40: 1.5})
+"""Numbers of replicates from which on no more are simulated if the ratio of the largest score of the recording to the
+largest score of all replicates exceeds the limit. By the tails of the scores a gap is then certain, and more replicates
+would change little.
 """
 
 _DELAY_STEPS = 3
@@ -410,7 +410,7 @@ def compare_with_base(
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
         where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
-        if where.p > limit or (count >= LEAST_CLEAR and _is_clear(normal)):
+        if where.p > limit or _is_clear(normal):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
@@ -419,7 +419,8 @@ def compare_with_base(
 def _is_clear(scores: Floats) -> bool:
     """Return whether the recording, the first row of normal scores (1 + b, m), is far beyond all replicates."""
     largest = largest_of(scores)
-    return bool(largest[0] > CLEAR * largest[1:].max())
+    limits = [limit for count, limit in CLEAR.items() if count < len(scores)]
+    return bool(limits and largest[0] > min(limits) * largest[1:].max())
 
 
 def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:

@@ -292,10 +292,11 @@ def replicates_of_each(
 
 def replicate_state(bench: Bench, standing: UnitState) -> UnitState:
     """Return the state with replicates of its models, and the misfit of their noise."""
-    return _with_replicates(bench, standing, replicates_of(bench, standing, NUMBERS))
+    return with_replicates(bench, standing, replicates_of(bench, standing, NUMBERS))
 
 
-def _with_replicates(bench: Bench, standing: UnitState, replicates: Sequence[StatisticValues]) -> UnitState:
+def with_replicates(bench: Bench, standing: UnitState, replicates: Sequence[StatisticValues]) -> UnitState:
+    """Return the state with these replicates of its models, which have the unit's statistics only."""
     misfit = standing.misfit_of(bench.base.headers, [replicate.fitted for replicate in replicates])
     return replace(standing, values=np.array([replicate.values for replicate in replicates]), misfit=misfit)
 
@@ -317,7 +318,7 @@ def confirm_each(bench: Bench, standing: UnitState, hypotheses: Sequence[FittedH
     several = [standing.models if hypothesis.models is None else hypothesis.models for hypothesis in hypotheses]
     replicated = replicates_of_each(bench, standing, several, NUMBERS)
     return [
-        _evaluate(bench, standing, hypothesis, _with_replicates(bench, replace(standing, models=models), replicates))
+        _evaluate(bench, standing, hypothesis, with_replicates(bench, replace(standing, models=models), replicates))
         for hypothesis, models, replicates in zip(hypotheses, several, replicated, strict=True)
     ]
 

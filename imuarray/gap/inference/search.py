@@ -30,9 +30,10 @@ from imuarray.gap.inference.forward_selection import (
     replicate_state,
     round_of_looks,
     search_round,
+    with_replicates,
 )
 from imuarray.gap.inference.refinement import FittedHypothesis, distinct, look_again
-from imuarray.gap.inference.unit_state import Unit, UnitState, reads_another, update_likelihood
+from imuarray.gap.inference.unit_state import LOOKS, REPLICATES, Unit, UnitState, reads_another, update_likelihood
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import Models, SensorModel
@@ -389,7 +390,7 @@ def _promising(
     All are looked at first, which needs few replicates of a family's state. All replicates of a state that no trial
     improves would cost more than the looks.
     """
-    bare = run(look_state, [_initial_state(comparison, family) for family in trials])
+    bare = _states_of(comparison, list(trials), run, LOOKS).values()
     states = {state.unit: state for state in run(look_together, [(state, causes[state.unit]) for state in bare])}
     looks = look_in_turns(run, states, trials)
     gaining = {family: gaining_of(looks_of) for family, looks_of in looks.items()}
@@ -453,10 +454,25 @@ def _is_same_chip(first: SensorHeader, other: SensorHeader) -> bool:
     return (first.chip, first.quantity) == (other.chip, other.quantity)
 
 
-def _states_of(comparison: Comparison, units: Sequence[Unit], run: Run) -> dict[Unit, UnitState]:
-    """Return the states of units under the base model."""
-    bare = [_initial_state(comparison, unit) for unit in units]
-    return {state.unit: state for state in run(replicate_state, bare)}
+def _states_of(
+    comparison: Comparison, units: Sequence[Unit], run: Run, count: int = REPLICATES
+) -> dict[Unit, UnitState]:
+    """Return the states of units under the base model, with all replicates or with the `LOOKS` that a look needs.
+
+    They are those of the comparison, unless these have other fits than the replicates of a unit alone: because other
+    sensors determine the attitudes, or because they are compared with earlier recordings.
+    """
+    bench, bare = comparison.bench, [_initial_state(comparison, unit) for unit in units]
+    known = comparison.replicates[:count]
+    if len(known) < count or comparison.earlier is not None or bench.estimates_attitudes:
+        states = run(replicate_state if count == REPLICATES else look_state, bare)
+        return {state.unit: state for state in states}
+    return {
+        state.unit: with_replicates(
+            bench, state, [replace(each, values=each.values[bench.own(state.unit)]) for each in known]
+        )
+        for state in bare
+    }
 
 
 def _initial_state(comparison: Comparison, unit: Unit) -> UnitState:

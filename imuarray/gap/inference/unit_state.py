@@ -35,8 +35,8 @@ REPLICATES = 8
 LOOKS = 2
 """Number of the first of these replicates, by which a guess is ranked and refined."""
 
-NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
-"""The numbers of these replicates; the null distribution uses others."""
+NUMBERS = range(REPLICATES)
+"""The numbers of these replicates: the first of the null distribution, so that those of the base model are known."""
 
 
 @dataclass(frozen=True)

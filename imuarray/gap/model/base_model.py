@@ -305,7 +305,14 @@ def _position_mm(header: SensorHeader, units: Streams) -> Triple:
     return x, y, z
 
 
-def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
+def fit(
+    campaign: Campaign,
+    motions: Sequence[Motion],
+    *,
+    model: Model | None = None,
+    seed: int = 0,
+    accelerometers: int | None = None,
+) -> Base:
     """Return the base model of a campaign; `motions` are the motions of the box, one for each log.
 
     The fit uses the segments of the phases at rest. The noise is the median of their variances. The offset is the mean
@@ -313,14 +320,16 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     scale error). The slope is that of the means over temperature, with a separate mean for each log and face. If the
     attitude of the box was not noted, the stimulus is estimated from the array itself (`imuarray.gap.model.gravity`).
     `model` specifies the other effects. Their contributions to noise and level are included in the fitted figures too
-    and are removed by `imuarray.gap.inference.comparison.settle_bench`.
+    and are removed by `imuarray.gap.inference.comparison.settle_bench`. `accelerometers` is the number of
+    accelerometers of the array, by default those of the campaign.
     """
     headers = headers_in(campaign)
     lags_s = _lags(campaign, motions, headers)
     campaign = with_element_temperatures(campaign, motions, lags_s)
     forces = estimated_forces(campaign, motions, _thermal_change(campaign, motions, headers))
     rests = {name: list(_at_rest(campaign, motions, forces, name)) for name in headers}
-    accelerometers = sum(header.quantity == "specific_force" for header in headers.values())
+    if accelerometers is None:
+        accelerometers = number_of_accelerometers(headers.values())
     fitted = {
         name: fit_sensor(header, rests[name], response_tolerance(header, accelerometers))
         for name, header in headers.items()
@@ -348,6 +357,11 @@ def _may_flicker(header: SensorHeader, fitted: FittedParameters, rests: Sequence
     rows = max((int(rest.rows.sum()) for rest in rests), default=0)
     floor = FLICKER_FLOOR.get(header.unit, 0.0)
     return bool(rows and _FLICKER_SHOWS * min(fitted.rms) / math.sqrt(rows) < floor)
+
+
+def number_of_accelerometers(headers: Iterable[SensorHeader]) -> int:
+    """Return the number of accelerometers among the sensors with these headers."""
+    return sum(header.quantity == "specific_force" for header in headers)
 
 
 def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:

@@ -15,7 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Indices
-from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicated_statistics, residual
+from imuarray.gap.model.base_model import (
+    Base,
+    FittedParameters,
+    fit,
+    number_of_accelerometers,
+    replicated_statistics,
+    residual,
+)
 from imuarray.gap.model.downstream import Uses, uses_of
 from imuarray.gap.model.replication import Models, ReplicateRequest, Stage
 from imuarray.gap.recording.recordings import Experiment
@@ -206,7 +213,11 @@ class Bench(Stage):
         all_motions = self._known_motions(campaigns[0])
         sides = [self.split.train(campaign) for campaign in campaigns]
         motions = [all_motions[at] for at in sides[0].logs]
-        bases = [fit(side.campaign, motions) if self.is_refitted else self.base for side in sides]
+        accelerometers = number_of_accelerometers(self.base.headers.values())
+        bases = [
+            fit(side.campaign, motions, accelerometers=accelerometers) if self.is_refitted else self.base
+            for side in sides
+        ]
         values = np.full((len(campaigns), len(self.keys)), np.nan)
         for part in (0, 1) if held_out else (0,):
             if part:
@@ -223,6 +234,17 @@ class Bench(Stage):
         return tuple(
             _with_known_attitudes(performed.motion) if self._lacks_accelerometers(log, performed) else performed.motion
             for log, performed in zip(campaign.logs, self.experiments, strict=True)
+        )
+
+    @property
+    def estimates_attitudes(self) -> bool:
+        """True if some attitudes are estimated from all accelerometers together."""
+        motions = [experiment.motion for experiment in self.experiments]
+        return any(
+            attitude.estimated
+            for motion in motions
+            if isinstance(motion, PoseSequence)
+            for attitude in motion.attitudes
         )
 
     def _lacks_accelerometers(self, log: LogSummary, experiment: Experiment) -> bool:
