@@ -200,7 +200,7 @@ less than one of two hundred cases.
 """
 
 
-CLEAR: Mapping[int, float] = MappingProxyType({28: 5.0, 40: 1.5})
+CLEAR: Mapping[int, float] = MappingProxyType({28: 3.0, 40: 1.5})
 """Numbers of replicates from which on no more are simulated if the ratio of the largest score of the recording to the
 largest score of all replicates exceeds the limit. By the tails of the scores a gap is then certain, and more replicates
 would change little.
