@@ -72,11 +72,11 @@ def nothing() -> Comparison:
 
 @pytest.mark.parametrize(
     ("campaigns", "most"),
-    [pytest.param(20, 6, marks=pytest.mark.slow), pytest.param(60, 14, marks=pytest.mark.campaign)],
+    [pytest.param(10, 4, marks=pytest.mark.slow), pytest.param(60, 14, marks=pytest.mark.campaign)],
 )
 def test_rate_of_false_alarms_with_common_replicates(nothing: Comparison, campaigns: int, most: int) -> None:
     """Campaigns, each with its own fit, compared with the 80 replicates of another one: p <= 0.05 has a probability
-    of 4/81 over both; at most 6 of 20 have a probability of 0.9996, at most 14 of 60 of 0.9998 (beta-binomial: 4, 77).
+    of 4/81 over both; at most 4 of 10 have a probability of 0.9997, at most 14 of 60 of 0.9998 (beta-binomial: 4, 77).
     """
     bench = nothing.bench
 

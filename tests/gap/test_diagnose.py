@@ -292,7 +292,7 @@ def test_a_common_wander_is_one_cause(tmp_path: Path) -> None:
     assert pace == pytest.approx(0.03 / np.sqrt(5.0), rel=0.4)  # the fit overstates it by a third
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_turn_on_bias_is_named(tmp_path: Path) -> None:
     """Six boots, both halves of each; a usual scatter is at most 0.15 dps, and is in every simulation. Two states are
     the alternative to a scatter that six boots leave.

@@ -155,7 +155,7 @@ def test_no_experiment_separates_lines_of_different_phase(bench: Bench) -> None:
     assert float(re.findall(r"at most ([\d.]+) to 1", said)[0]) <= 1.1 * math.exp(LEAST)  # rounded
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.usefixtures("_short")
 def test_the_source_of_exchanged_data_is_simulated_too(bench: Bench) -> None:
     """G2 is reversed about y and z: in a tumble, or with another bias, it differs from G1."""

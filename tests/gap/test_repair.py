@@ -196,7 +196,7 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
             assert highest_hz == pytest.approx(20.0, abs=spectrum.resolution_hz * RATE_HZ)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_second_diagnosis_has_no_gap(tmp_path: Path) -> None:
     """Without the line in the model there is a gap, with the repaired model there is none (p > 0.05 has a probability
     of 0.95; fixed seed).

@@ -158,7 +158,7 @@ def same(first: Effect, other: Effect) -> bool:
 
 
 @pytest.mark.parametrize("name", some(EFFECTS, 11))
-@settings(max_examples=examples(20), suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
+@settings(max_examples=examples(10), suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
 @given(data=st.data(), unit=st.sampled_from(UNITS))
 def test_parameters_round_trip_through_tables(name: str, data: st.DataObject, unit: str) -> None:
     effect = data.draw(effects(name))
