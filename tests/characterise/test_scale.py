@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from imuarray.characterise.plots.frame import replace_scales
+from imuarray.characterise.plots.scale import replace_scales
 from tests.selection import some
 
 
