@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration, calibrate_noise, load_calibration
-from imuarray.calibrate.noise import _share
+from imuarray.calibrate.noise_lines import _share
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.fuse.fusion import prepare_inputs
