@@ -137,6 +137,22 @@ def test_delays_reported_by_other_loggers_are_used(
     assert due(recording)["Acc"] == ROWS - 3 * is_of_recorder
 
 
+@pytest.mark.parametrize(("sensor", "is_of_recorder"), [("Acc", True), ("Gyro", False)])
+def test_a_delay_may_be_reported_for_each_sensor(tmp_path: Path, sensor: str, is_of_recorder: bool) -> None:
+    """Three readings are too many to be usual losses; an event of another sensor does not explain them."""
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(400, 403)}, "skipped", 403 / RATE_HZ, reported=sensor)
+    assert due(recording)["Acc"] == ROWS - 3 * is_of_recorder
+
+
+@pytest.mark.parametrize(("late_s", "is_lost"), [(8.0, False), (9.0, True)])
+def test_a_flag_at_a_reported_delay_is_the_recorders(tmp_path: Path, late_s: float, is_lost: bool) -> None:
+    """No row is missing, since the reading before the skipped one was late: only a flag reports the loss."""
+    flagged = logged(tmp_path / "log.h5", {"Acc": slice(400, 400)}, "skipped", late_s, reported="Acc", flag=LOST_BEFORE)
+    source = sources_of(flagged)["Acc"]
+    lost = sum(int((block.status & LOST_BEFORE != 0).sum()) for block in source.blocks(0, 20 * SECOND))
+    assert lost == is_lost
+
+
 @pytest.mark.parametrize(
     ("rows", "late_s", "reported", "is_of_recorder"),
     some(

@@ -611,7 +611,7 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
     least = ACCEPTED + max(bar, 0.0)
     selection = _select(standing, ranked, least)
     if selection is None or selection.trial.needs_both:  # judge the other trials by both parts too
-        on_both = (_on_both_parts(each) if _needs_both_parts(standing, each) else each for each in ranked)
+        on_both = (_on_both_parts(standing, each) if _needs_both_parts(standing, each) else each for each in ranked)
         ranked_on_both = _rank(standing, tuple(on_both))
         if (likeliest_on_both := _select(standing, ranked_on_both, least)) is not None:
             ranked, selection = ranked_on_both, likeliest_on_both
@@ -632,21 +632,24 @@ def _select(standing: UnitState, ranked: Sequence[Evaluation], least: float) -> 
 
 def _needs_both_parts(standing: UnitState, evaluation: Evaluation) -> bool:
     """Return true for a lasting cause that the training part alone shows, even with a choice among thousands, if the
-    held-out part does not contradict it: some motions reach the end of a range only once.
+    held-out part does not contradict it: some motions reach the end of a range only once, and a box is heated once.
     """
     if evaluation.trial.needs_both or evaluation.gain < -_INDIFFERENT:
         return False
-    train_gain = min(_tempering(standing, evaluation), 1.0) * evaluation.train_gain
+    train_gain = _tempering(standing, evaluation) * evaluation.train_gain
     return train_gain - COST * evaluation.factors - 2 * BRIEF > ACCEPTED
 
 
-def _on_both_parts(evaluation: Evaluation) -> Evaluation:
-    """Return the evaluation as that of a cause that needs both parts."""
+def _on_both_parts(standing: UnitState, evaluation: Evaluation) -> Evaluation:
+    """Return the evaluation as that of a cause that needs both parts. The choice costs `BRIEF` nats of independent
+    statistics, which are fewer of the nats that are not yet tempered.
+    """
     trial = replace(evaluation.trial, whole=True)
+    choice = BRIEF / max(_tempering(standing, evaluation), 1.0)
     return replace(
         evaluation,
         hypothesis=replace(evaluation.hypothesis, trial=trial),
-        gain=(evaluation.train_gain + evaluation.gain) / 2 - BRIEF,
+        gain=(evaluation.train_gain + evaluation.gain) / 2 - choice,
     )
 
 

@@ -61,8 +61,10 @@ USUAL_LOSSES = 5e-4
 """Largest share of a sensor's readings that a bus usually loses. A single reading is never more than usual."""
 
 _DELAYED = re.compile(r"\b(late|miss(ed|ing)|stall(ed|s)?|delay(ed|s)?|busy)\b", re.IGNORECASE)
-"""Pattern for a delay of the recorder in the kind or message of an event; "late" is the kind that this logger writes.
-"""
+"""Pattern for a delay of the recorder in the kind or message of an event."""
+
+LATE = "late"
+"""Kind of event that this logger writes for a delay."""
 
 _SPAN = re.compile(r"missed in ([\d.]+) s")
 """Pattern for the duration in an event that reports all delays of a period together."""
@@ -84,7 +86,7 @@ class RecorderGaps:
     """Timelines without the recorder's gaps.
 
     `lines`: the timelines of the sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times
-    (k,) of the first rows after them; `note`: a sentence on the gaps, "" without any; `uncertain_ns`: by sensor the
+    (k,) of the first rows after them, and of rows that are flagged as following lost rows at a reported delay; `note`: a sentence on the gaps, "" without any; `uncertain_ns`: by sensor the
     times (u,) of rows that were read in a gap at an unknown moment, and of the rows that follow them.
     """
 
@@ -98,16 +100,22 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     """Detect the recorder's gaps among the rows of sensors with these timelines."""
     usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
     frame_ns = 1e9 / log.frame_rate_hz if log.frame_rate_hz > 0 else min(filter(None, usual_ns.values()), default=0.0)
-    delays = [_delay(event, frame_ns) for event in log.events if _is_delay(event)]
+    delays: dict[str, list[_Gap]] = {}
+    for event in filter(_is_delay, log.events):
+        delays.setdefault(event.sensor, []).append(_delay(event, frame_ns))
     timelines, ends_ns, uncertain_ns = dict(lines), {}, {}
     most: list[_Gap] = []
     losses_of: list[str] = []
     for name, line in lines.items():
+        of_sensor = [*delays.get("", ()), *delays.get(name, ())]
+        flagged_ns = _flagged_times(log[name], usual_ns[name], of_sensor)
+        if len(flagged_ns):
+            ends_ns[name] = flagged_ns
         if not isinstance(line, GapFilledTimes):
             continue
         others = [(log[other], interval_ns) for other, interval_ns in usual_ns.items() if other != name]
         gaps = [_Gap(begin_ns, end_ns) for begin_ns, end_ns, _ in line.holes()]
-        is_late = np.array([_is_late(gap, usual_ns[name], delays) for gap in gaps])
+        is_late = np.array([_is_late(gap, usual_ns[name], of_sensor) for gap in gaps])
         if others:
             is_common = np.array([_is_common(gap, others) for gap in gaps])
         else:  # only the logger can tell that a single sensor lost a reading
@@ -129,11 +137,11 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
             losses_of.append(f"{name} ({few})")
         if is_own.all():
             continue
-        of_recorder = [gap for gap, of_sensor in zip(gaps, (is_own | is_idle).tolist(), strict=True) if not of_sensor]
+        of_recorder = [gap for gap, is_other in zip(gaps, (is_own | is_idle).tolist(), strict=True) if not is_other]
         of_common = [gap for gap, is_of_all in zip(gaps, (is_late | is_common).tolist(), strict=True) if is_of_all]
         lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
         timelines[name] = lost if is_own.any() else line.recorded
-        ends_ns[name] = np.array([gap.end_ns for gap in of_recorder], np.int64)
+        ends_ns[name] = np.union1d(flagged_ns, np.array([gap.end_ns for gap in of_recorder], np.int64))
         uncertain = _uncertain_times(log[name], usual_ns[name], of_recorder)
         if len(uncertain):
             uncertain_ns[name] = uncertain
@@ -150,6 +158,18 @@ def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -
         if row > 0 and gap.begin_ns - int(sensor.time[row - 1]) >= MISSING * usual_ns:
             times += [gap.begin_ns, gap.end_ns]
     return np.unique(np.array(times, np.int64))
+
+
+def _flagged_times(sensor: SensorLog, usual_ns: float, delays: Sequence[_Gap]) -> Integers:
+    """Return the times of rows at a delay that are flagged as following lost rows. After a short delay no interval is a
+    gap, since the reading before the lost one was late.
+    """
+    flagged: list[int] = []
+    for delay in delays:
+        rows = sensor.between(round(delay.begin_ns - usual_ns), round(delay.end_ns + 2 * usual_ns))
+        is_flagged = (np.asarray(sensor.status[rows]) & LOST_BEFORE) != 0
+        flagged += np.asarray(sensor.time[rows])[is_flagged].tolist()
+    return np.unique(np.array(flagged, np.int64))
 
 
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
@@ -205,8 +225,11 @@ def usual_interval_ns(sensor: SensorLog) -> float:
 
 
 def _is_delay(event: Event) -> bool:
-    """Return whether an event reports a delay of the recorder; such an event names no sensor."""
-    return not event.sensor and bool(_DELAYED.search(event.kind) or _DELAYED.search(event.message))
+    """Return whether an event reports a delay of the recorder. An event that names a sensor does if its kind is
+    "late": some recorders write one event for each sensor that they could not read in time.
+    """
+    is_of_all = not event.sensor and bool(_DELAYED.search(event.kind) or _DELAYED.search(event.message))
+    return is_of_all or event.kind == LATE
 
 
 def _delay(event: Event, frame_ns: float) -> _Gap:
