@@ -114,15 +114,7 @@ def test_magnetometers_measure_the_same_field(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "only",
-    [
-        ("IMU1_acc", "IMU2_acc", "AK1"),
-        pytest.param(
-            (),
-            marks=(pytest.mark.campaign, pytest.mark.xfail(reason="a pooled score reports a gap", strict=False)),
-            id="all",
-        ),
-    ],
+    "only", [("IMU1_acc", "IMU2_acc", "AK1"), pytest.param((), marks=pytest.mark.campaign, id="all")]
 )
 def test_a_mixed_array_is_diagnosed(folder: Path, only: tuple[str, ...]) -> None:
     """An emulated array whose parts keep to their data sheets has no gap: the AK8963's factory took away 16 % of its

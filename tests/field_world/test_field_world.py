@@ -172,16 +172,7 @@ def test_the_barometer_computes_the_example_of_its_data_sheet() -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            "morning_starts",
-            marks=pytest.mark.xfail(reason="a pooled score reports a gap", strict=False),
-        ),
-        "lone_gyro",
-    ],
-)
+@pytest.mark.parametrize("name", ["morning_starts", "lone_gyro"])
 def test_a_control_has_no_gap(tmp_path: Path, name: str) -> None:
     """Half a minute each; the slow half has a control of tests/bench_world."""
     write_case(CASES[name](), tmp_path)

@@ -70,14 +70,14 @@ def test_a_slight_shift_of_every_place_is_not_a_gap() -> None:
 
 def test_each_log_is_pooled_and_all_logs_together() -> None:
     """Of three logs of two sensors, one deviates: its pool is the furthest, and leads to its strongest place. There are
-    also pools of the four statistics of each sensor.
+    also pools of two statistics of the codes of each sensor, and none of its levels and noise.
     """
     several = [key._replace(log=log, sensor=sensor) for sensor in ("A1", "A2") for log in range(3) for key in ALL]
     scores = np.random.default_rng(6).standard_normal((41, len(several)))
     of_log = [at for at, key in enumerate(several) if (key.sensor, key.log) == ("A2", 1)]
     scores[0, of_log[:21]] = np.where(np.arange(21) == 5, -4.0, 2.6)
     pooled = pooled_scores(scores, several)
-    assert pooled.scores.shape == (41, 2 * (3 + 1) + 2 * 4)
+    assert pooled.scores.shape == (41, 2 * (3 + 1) + 2 * 2)
     furthest = int(pooled.scores[0, :8].argmax())
     assert pooled.places[furthest] == of_log[5]
     assert p_of(pooled) == pytest.approx(1 / 41)
@@ -107,16 +107,16 @@ def test_axes_with_the_same_response_to_a_motion_are_summed() -> None:
     scores = np.random.default_rng(9).standard_normal((41, len(moving)))
     scores[0] = [2.8 if key.phase_number == 2 else 0.0 for key in moving]
     pooled = pooled_scores(scores, moving)
-    assert pooled.scores.shape == (41, 2 + 4)
-    assert int(pooled.scores[0, 2:].argmax()) == 2
-    assert moving[pooled.places[4]].phase_number == 2
+    assert pooled.scores.shape == (41, 1 + 4)
+    assert int(pooled.scores[0, 1:].argmax()) == 2
+    assert moving[pooled.places[3]].phase_number == 2
     assert p_of(pooled) == pytest.approx(1 / 41)
     scores[0, [at for at, key in enumerate(moving) if key.axis == "y"]] *= -1
     assert p_value(*_largest_sum(pooled_scores(scores, moving))) > 0.1
 
 
 def _largest_sum(pooled: PooledScores) -> tuple[float, Floats]:
-    largest = np.abs(pooled.scores[:, 2:]).max(axis=1)
+    largest = np.abs(pooled.scores[:, 1:]).max(axis=1)
     return float(largest[0]), largest[1:]
 
 
@@ -138,7 +138,7 @@ def test_the_largest_pooled_scores_equal_those_of_single_statistics() -> None:
     """Median and 90 % quantile of a campaign's largest score, for any number and tails of pools."""
     heavy = np.random.default_rng(9).standard_t(4, size=(41, len(ALL)))
     several = np.abs(pooled_scores(heavy, ALL).scores)
-    assert several.shape == (41, 1 + 4)  # the sensor in a log, and its four statistics
+    assert several.shape == (41, 1 + 2)  # the sensor in a log, and its two statistics of codes
     single = np.abs(heavy).max(axis=1)
     for pooled in (several[:, :1].max(axis=1), several[:, 1:].max(axis=1)):
         np.testing.assert_allclose(np.quantile(pooled, [0.5, 0.9]), np.quantile(single, [0.5, 0.9]), rtol=1e-6)

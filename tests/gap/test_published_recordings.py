@@ -126,7 +126,6 @@ def test_even_codes_and_the_slope_of_the_bias_are_stated(recordings: dict[str, R
     assert not any(one.effect == "random_walk" and "Acc" in one.sensors for one in found.causes)
 
 
-@pytest.mark.xfail(reason="the curvature over temperature is no longer named beside the slope", strict=False)
 def test_the_curvature_over_temperature_is_named(recordings: dict[str, Recording]) -> None:
     found = diagnosed(recordings["freeimu_thermal"])
     heat = named(found, "thermal_bias", "Acc").each["Acc"]

@@ -289,8 +289,21 @@ def _summarise(recordings: Sequence[Recording], split: Split) -> Campaign:
         lines = {name: line for name, (_, line) in recording.experiment.plan.sensors.items()}
         moving = [phase for phase in recording.phases if not is_at_rest(phase)]
         events = events_of(recording.log, lines, moving, reference.track)
-        logs.append(replace(summary, events=events, spells=_Spells(recording)))
+        parts = tuple(replace(part, unresolved=_unresolved_in(part.phase, recording)) for part in summary.phases)
+        logs.append(replace(summary, phases=parts, events=events, spells=_Spells(recording)))
     return Campaign(tuple(logs))
+
+
+def _unresolved_in(part: Phase, recording: Recording) -> tuple[str, ...]:
+    """Return the quantities with unresolved changes in the motion of which this is a part."""
+    return next(
+        (
+            quantities
+            for phase, quantities in recording.unresolved.items()
+            if phase.start_ns <= part.start_ns and part.end_ns <= phase.end_ns
+        ),
+        (),
+    )
 
 
 def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) -> Base:

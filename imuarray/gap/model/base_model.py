@@ -132,6 +132,12 @@ _BY_CHANCE = 2.0
 has less than half of this variance, so the sum over three lags exceeds six variances in one of 250 phases.
 """
 
+_FAR_SMALLER, _LEAST_NOISE_SHARE = 0.5, 0.1
+"""Least difference between the median of the correlations of three axes and those of the axis with the smallest ones,
+as a share of the median, at which the median is that of a vibration; and the least share of the noise that is not
+rounding by which correlations are divided.
+"""
+
 _EXPECTED = 0.35
 """Factor of that limit if the configured filter is below the Nyquist frequency of the rows and there are too few rows
 for it to exceed the limit. This filter is expected, and a model without it would be wrong for most chips.
@@ -614,13 +620,26 @@ def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParame
     is_flagged = flags_repeats(campaign, header)
     reads = tuple(_reads(phase, header.rate_hz, is_flagged) for phase in rests)
     again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _ALL_LAGS] for pace in reads])
-    lags = np.array([np.median(phase.correlation[list(_ALL_LAGS)], axis=1) for phase in rests])
-    noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
-    values = (lags - again) / max(float(noise_share), 0.1)
+    noise_share = np.maximum(np.square(fitted.rms) / np.square(fitted.noise(header)), _LEAST_NOISE_SHARE)
     rows = np.array([max(phase.rows, 1) for phase in rests], float)
+    each = [
+        (phase.correlation[list(_ALL_LAGS)] - at[:, None]) / noise_share for phase, at in zip(rests, again, strict=True)
+    ]
+    values = np.array([_of_filter(correlations, count) for correlations, count in zip(each, rows, strict=True)])
     covers = bool(2 * rows.sum() > sum(phase.rows for phase in every_rest))
     least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
     return _Correlations(values, reads, rows, least_wander, covers) if np.isfinite(values).all() else None
+
+
+def _of_filter(correlations: Floats, rows: float) -> Floats:
+    """Return the correlations (k,) of the noise of a chip's filter from those (k, 3) of its axes: their median, or
+    those of the axis with the smallest ones if these are far smaller. A filter acts on all axes, a vibration on some.
+    """
+    median = np.median(correlations, axis=1)
+    least = correlations[:, np.square(correlations).sum(axis=0).argmin()]
+    difference = np.linalg.norm(median - least)
+    by_chance = _BY_CHANCE * math.sqrt(len(correlations) / rows)
+    return least if difference > max(_FAR_SMALLER * float(np.linalg.norm(median)), by_chance) else median
 
 
 def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> tuple[Bandwidth | None, float]:

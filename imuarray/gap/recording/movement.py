@@ -4,11 +4,13 @@ All sensors of a quantity measure a turn or a stroke alike, so each can be compa
 instrument recorded the motion. A simulation needs the motion itself, which is estimated as the mean of the sensors in
 windows of time: an error that all of them share becomes a part of the motion and is not detected. All simulated sensors
 would also measure the noise of this mean, whereas recorded sensors have nothing in common on an axis that hardly moves.
-It is therefore subtracted in the spectrum; its size is estimated from the differences between the sensors.
+It is therefore subtracted in the spectrum; its size is estimated from the differences between the sensors and, since
+the filters of the chips make it unequal over frequency, from the spectrum of the same mean at rest.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -53,6 +55,12 @@ second as a multiple of the noise. The third is the least noise, in counts, that
 number of rows that are used.
 """
 
+_UNRESOLVED, _AS_QUIET = 2.0, 1.5
+"""Ratio of the third differences of readings in a motion to those at rest above which the motion has changes that the
+rows do not resolve: third differences of a smooth turn by hand are below the noise. The sensors that decide it have at
+most the second value times the least noise.
+"""
+
 _TURN_STEP_NS = 50_000_000
 """Interval of a turn over which a gyroscope's rates are averaged, in ns; a fast turn covers 5 degrees in it."""
 
@@ -71,6 +79,9 @@ _LOUD, _LOUD_SHARE, _RAISED, _RAISED_SIGMAS = 4.0, 0.01, 1.5, 6.0
 ratio of another sensor at these frequencies above which it is shaken too, and the number of standard deviations that it
 has to exceed that by.
 """
+
+_NOISE_WINDOWS, _FEWEST_OF_NOISE, _MOST_OF_NOISE = 256, 4, 64
+"""Windows of a segment from which the spectrum of the noise at rest is estimated, and fewest and most such segments."""
 
 _ROUNDING = 1e-9
 """Relative error of a sum of weights."""
@@ -114,7 +125,8 @@ def movements_of(
     courses = {
         phase: course
         for phase in phases
-        if not vibrates(triads, phase, noise) and (course := _course(triads, phase, biases, exchanged)) is not None
+        if not vibrates(triads, phase, noise)
+        and (course := _course(triads, phase, rests, biases, exchanged)) is not None
     }
     turns = (course.turn(phase, *ends[phase]) for phase, course in courses.items() if phase in ends)
     factors = _factors([turn for turn in turns if turn is not None])
@@ -150,6 +162,41 @@ def vibrates(triads: Sequence[SensorLog], phase: Phase, noise: Mapping[str, Floa
             if (_scatter(moving) > least).any():
                 return True
     return False
+
+
+def unresolved_quantities(triads: Sequence[SensorLog], phase: Phase, rests: Sequence[Phase]) -> tuple[str, ...]:
+    """Return the quantities of which the sensors measure changes in a motion that their rows do not resolve. How a
+    sensor responds to such a motion depends on the moments of its rows, and cannot be predicted from other sensors.
+
+    The sensors with the least noise at rest decide; of several, the lower median, since a fault of one is no motion.
+    """
+    unresolved = []
+    for quantity in INERTIAL:
+        group = [sensor for sensor in triads if sensor.quantity == quantity]
+        rough = [pair for sensor in group if (pair := _roughness_ratio(sensor, phase, rests)) is not None]
+        least = min((noise for noise, _ in rough), default=0.0)
+        ratios = sorted(ratio for noise, ratio in rough if noise <= _AS_QUIET * least)
+        if ratios and ratios[(len(ratios) - 1) // 2] > _UNRESOLVED:
+            unresolved.append(quantity)
+    return tuple(unresolved)
+
+
+def _roughness_ratio(sensor: SensorLog, phase: Phase, rests: Sequence[Phase]) -> tuple[float, float] | None:
+    """Return the third differences (rms, in units of the sensor) of readings in the quietest phase at rest, and those
+    in a phase as a multiple of them, on the axis where this is largest; None without enough rows.
+    """
+    at_rest = [_roughness(counts) for rest in rests if len(counts := _some_counts(sensor, rest)) > _FEWEST_WINDOWS]
+    moving = _some_counts(sensor, phase)
+    if not at_rest or len(moving) <= _FEWEST_WINDOWS:
+        return None
+    least = math.sqrt(20) * _LEAST_NOISE  # white noise of variance 1 has third differences of variance 20
+    quiet = np.maximum(np.min(at_rest, axis=0), least)
+    return float(np.mean(quiet)) / sensor.sensitivity, float((_roughness(moving) / quiet).max())
+
+
+def _roughness(counts: Floats) -> Floats:
+    """Return the third differences (3,) of counts (n, 3), rms."""
+    return np.asarray(np.sqrt((np.diff(counts, n=3, axis=0) ** 2).mean(axis=0)))
 
 
 def shaken_quantities(triads: Sequence[SensorLog], rest: Phase) -> list[str]:
@@ -277,7 +324,11 @@ def _factors(turns: Sequence[Turn]) -> Floats:
 
 
 def _course(
-    triads: Sequence[SensorLog], phase: Phase, biases: Mapping[str, Floats], exchanged: Mapping[str, Floats]
+    triads: Sequence[SensorLog],
+    phase: Phase,
+    rests: Sequence[Phase],
+    biases: Mapping[str, Floats],
+    exchanged: Mapping[str, Floats],
 ) -> _Course | None:
     """Return the common motion in a phase; None if too few sensors or windows determine it, or the box does not move.
     `biases` (3,) and matrices `exchanged` (3, 3) of gyroscopes are in the box's frame.
@@ -292,16 +343,21 @@ def _course(
     slowest_hz = min(rows[sensor.name] for sensor in there) / seconds
     if not _FEWEST_WINDOWS < len(_edges_ns(phase, max(_WINDOW_ROWS / slowest_hz, _SHORTEST_S))) <= MOST_WINDOWS:
         return None
-    edges_ns = _edges_ns(phase, max(_COURSE_ROWS / slowest_hz, _FINEST_S, seconds / MOST_WINDOWS))
+    window_s = max(_COURSE_ROWS / slowest_hz, _FINEST_S, seconds / MOST_WINDOWS)
+    edges_ns = _edges_ns(phase, window_s)
     middles_ns = (edges_ns[:-1] + edges_ns[1:]) // 2
     rate = _mean_of(
         [
             (_window_means(sensor, edges_ns) - biases[sensor.name]) @ exchanged.get(sensor.name, np.eye(3)).T
             for sensor in gyroscopes
-        ]
+        ],
+        _noise_at_rest(gyroscopes, rests, window_s),
     )
     if accelerometers:
-        force = _mean_of([_window_means(sensor, edges_ns) for sensor in accelerometers])
+        force = _mean_of(
+            [_window_means(sensor, edges_ns) for sensor in accelerometers],
+            _noise_at_rest(accelerometers, rests, window_s),
+        )
     else:
         force = np.tile([0.0, 0.0, STANDARD_GRAVITY], (len(middles_ns), 1))
     known = np.isfinite(force).all(axis=1) & np.isfinite(rate).all(axis=1)
@@ -437,30 +493,66 @@ def _mean_at_rest(sensor: SensorLog, rests: Sequence[Phase]) -> Floats:
     return np.mean(known, axis=0) if known else np.zeros(3)
 
 
-def _mean_of(sensors: Sequence[Floats]) -> Floats:
+def _mean_of(sensors: Sequence[Floats], noise: Floats) -> Floats:
     """Return the mean (w, 3) of the readings (w, 3) of the sensors, with its noise reduced; nan where no sensor has
-    readings.
+    readings. `noise` (f, 3) is that of `_noise_at_rest`.
+    """
+    readings = np.array(sensors)
+    known = np.flatnonzero(np.isfinite(readings[:, :, 0]).any(axis=0))
+    means = np.full(readings.shape[1:], np.nan)
+    if len(known) < _FEWEST_WINDOWS:
+        return means
+    mean, apart = _middle_of(readings[:, known])
+    # White noise of variance 1 has second differences of variance 6. The difference of a sensor from the mean of s
+    # sensors has (s - 1) / s of the sensor's variance, and the mean has 1 / s of it.
+    of_each = mean[None] if len(readings) == 1 else apart
+    scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
+    white = scatter / max(len(readings) - 1, 1)
+    places = np.linspace(0, 1, len(known) // 2 + 1)
+    at_rest = np.array([np.interp(places, np.linspace(0, 1, len(noise)), column) for column in noise.T]).T
+    means[known] = reduce_noise(mean, np.maximum(white, at_rest), keeps_power=True)
+    return means
+
+
+def _middle_of(readings: Floats) -> tuple[Floats, Floats]:
+    """Return the mean (w, 3) of the readings (s, w, 3) of s sensors and the deviation (s, w, 3) of each from it.
 
     For three or more sensors it is their median, weighted by the inverse variances of their noise, of which no sensor
     has more than half. Each sensor's mean deviation from it is subtracted first, so that a sensor without readings in a
     window causes no step.
     """
-    readings = np.array(sensors)
-    weights = _weights(readings)
-    middle: Callable[..., Floats] = partial(weighted_median, weights=weights) if len(readings) > 2 else np.nanmean
-    known = np.flatnonzero(np.isfinite(readings[:, :, 0]).any(axis=0))
-    means = np.full(readings.shape[1:], np.nan)
-    if len(known) < _FEWEST_WINDOWS:
-        return means
-    shown = readings[:, known]
-    apart = shown - middle(shown, axis=0)
-    mean = middle(shown - np.nanmean(apart, axis=1, keepdims=True), axis=0)
-    # White noise of variance 1 has second differences of variance 6. The difference of a sensor from the mean of s
-    # sensors has (s - 1) / s of the sensor's variance, and the mean has 1 / s of it.
-    of_each = mean[None] if len(readings) == 1 else apart
-    scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
-    means[known] = reduce_noise(mean, scatter / max(len(readings) - 1, 1), keeps_power=True)
-    return means
+    middle: Callable[..., Floats] = np.nanmean
+    if len(readings) > 2:
+        middle = partial(weighted_median, weights=_weights(readings))
+    apart = readings - middle(readings, axis=0)
+    return middle(readings - np.nanmean(apart, axis=1, keepdims=True), axis=0), apart
+
+
+def _noise_at_rest(sensors: Sequence[SensorLog], rests: Sequence[Phase], window_s: float) -> Floats:
+    """Return the noise (f, 3) of the mean of the sensors in windows at rest, at frequencies from 0 to half the rate of
+    the windows: the variance that white noise of this density would have. 0 with too few windows.
+
+    It is the median over segments of the rests (Welch), since a knock must not count as noise.
+    """
+    segments: list[Floats] = []
+    for rest in rests:
+        edges_ns = _edges_ns(rest, window_s)[1:-1][: _MOST_OF_NOISE * _NOISE_WINDOWS]
+        if sensors and len(edges_ns) > _NOISE_WINDOWS and len(segments) < _MOST_OF_NOISE:
+            readings = np.array([_window_means(sensor, edges_ns) for sensor in sensors])
+            readings = readings[:, np.isfinite(readings).all(axis=(0, 2))]
+            whole = readings.shape[1] // _NOISE_WINDOWS
+            if whole:
+                mean, _ = _middle_of(readings[:, : whole * _NOISE_WINDOWS])
+                segments += list(mean.reshape(whole, _NOISE_WINDOWS, 3))
+    if len(segments) < _FEWEST_OF_NOISE:
+        return np.zeros((2, 3))
+    parts = np.array(segments)
+    parts -= parts.mean(axis=1, keepdims=True)
+    taper = np.hanning(_NOISE_WINDOWS)[:, None]
+    power = np.abs(np.fft.rfft(parts * taper, axis=1)) ** 2 / (taper**2).sum()
+    noise = np.median(power, axis=0) / np.log(2)
+    noise[[0, -1]] = noise[[1, -2]]  # without the mean; a real number has half of the degrees of freedom
+    return np.asarray(noise)
 
 
 def _weights(readings: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from imuarray.gap.recording.movement import (
     noise_at_rest,
     shaken_quantities,
     shows_motion,
+    unresolved_quantities,
     vibrates,
 )
 from imuarray.gap.recording.quiet import knocks, quiet_rest
@@ -99,7 +100,8 @@ class ComparablePhases(NamedTuple):
     """The phases of a log that can be compared, and the motions that its own sensors show.
 
     `notes` say what was left out or assumed; `shaken` are the quantities that are shaken in all phases at rest;
-    `restless` are the spans (begin, end), in ns, in which the box was touched, shaken or knocked.
+    `restless` are the spans (begin, end), in ns, in which the box was touched, shaken or knocked; `unresolved` are, by
+    phase, the quantities with changes in a motion that the rows do not resolve.
     """
 
     phases: tuple[Phase, ...]
@@ -107,6 +109,7 @@ class ComparablePhases(NamedTuple):
     notes: list[str]
     shaken: tuple[str, ...]
     restless: tuple[tuple[int, int], ...]
+    unresolved: Mapping[Phase, tuple[str, ...]]
 
 
 def is_motion(phase: Phase) -> bool:
@@ -137,6 +140,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     turns = list(_turns(sorted([*moving, *(rest.phase for rest in still)])))
     movements: list[Movement] = []
     knocked: list[tuple[int, int]] = []
+    unresolved: dict[Phase, tuple[str, ...]] = {}
     if is_tracked and log.phases:
         moving += [turn for turn in turns if moves_by_track(turn, motion)]
     elif is_tracked:
@@ -151,6 +155,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
                 notes.append(f"Phase {phase.name!r} is left out: {reason}.")
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
+        unresolved = {phase: unresolved_quantities(triads, phase, all_rests) for phase in moving}
         knocked = [span for phase in moving for span in knocks(triads, phase, all_rests)]
     shaken = {rest: shaken_quantities(triads, rest.phase) for rest in quiet}
     rests = [rest for rest, quantities in shaken.items() if not quantities] or quiet
@@ -166,7 +171,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     if knocked:
         seconds = sum(end_ns - begin_ns for begin_ns, end_ns in knocked) * 1e-9
         notes.append(f"{seconds:.3g} s of motions are left out: several sensors show that the box is knocked.")
-    return ComparablePhases(phases, tuple(movements), notes, tuple(always), (*restless, *knocked))
+    return ComparablePhases(phases, tuple(movements), notes, tuple(always), (*restless, *knocked), unresolved)
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:

@@ -86,8 +86,9 @@ class RecorderGaps:
     """Timelines without the recorder's gaps.
 
     `lines`: the timelines of the sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times
-    (k,) of the first rows after them, and of rows that are flagged as following lost rows at a reported delay; `note`: a sentence on the gaps, "" without any; `uncertain_ns`: by sensor the
-    times (u,) of rows that were read in a gap at an unknown moment, and of the rows that follow them.
+    (k,) of the first rows after them, and of rows that are flagged as following lost rows at a reported delay; `note`:
+    a sentence on the gaps, "" without any; `uncertain_ns`: by sensor the times (u,) of rows that were read in a gap at
+    an unknown moment, and of the rows that follow them.
     """
 
     lines: Mapping[str, Timeline]

@@ -126,7 +126,8 @@ class Recording:
     `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` are the stretches that are compared,
     `experiment` is what a simulation of the log needs, lost rows included, `notes` say what was assumed or left out,
     `gap_ends_ns` has by sensor the times of the first rows after gaps of the recorder. `is_shaken`: all of its sensors
-    are on a box that is shaken in every phase at rest.
+    are on a box that is shaken in every phase at rest. `unresolved`: by phase the quantities with changes in a motion
+    that the rows do not resolve.
     """
 
     name: str
@@ -137,6 +138,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     gap_ends_ns: Mapping[str, Times] = field(default_factory=dict)
     is_shaken: bool = False
+    unresolved: Mapping[Phase, tuple[str, ...]] = field(default_factory=dict)
 
     @cached_property
     def temperature_source(self) -> TemperatureSource:
@@ -199,7 +201,9 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
             uncertain_ns[name] = np.unique(np.concatenate(times_ns))
     experiment = Experiment(replace(plan, sensors=sensors), posed, uncertain_ns, has_temperature)
     kind = kind_of(phases, attitudes, heated=heated)
-    return Recording(log.path.name, log, kind, phases, experiment, notes, gaps.ends_ns, is_shaken)
+    return Recording(
+        log.path.name, log, kind, phases, experiment, notes, gaps.ends_ns, is_shaken, comparable.unresolved
+    )
 
 
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:

@@ -38,6 +38,7 @@ class PhaseSummary:
     """Summary of one phase: its number in the log, a summary for each sensor, and `cross`, the joint moments of the
     inertial sensors and, in motion, of a track (None for fewer than two). `ups_box` are the directions up in the box's
     frame at the begin and end of a turn between two rests, or of a part of it; None at rest or if they are unknown.
+    `unresolved`: the quantities with changes in a recorded motion that the rows do not resolve.
     """
 
     phase: Phase
@@ -46,6 +47,7 @@ class PhaseSummary:
     sensors: Mapping[str, Summary]
     cross: Cross | None
     ups_box: tuple[Up, Up] | None = None
+    unresolved: tuple[str, ...] = ()
 
     @property
     def is_still(self) -> bool:

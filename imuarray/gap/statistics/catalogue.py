@@ -180,8 +180,15 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
         elif isinstance(probe, CrossProbe):
             for sensor in crossed:
                 values = np.array([probe.statistic(cross, sensor) for cross in crosses])
-                by_sensor[sensor].append(_ProbeValues(name, values, partial(float, probe.resolution)))
+                by_sensor[sensor].append(_ProbeValues(name, values, partial(_least_of_cross, probe, first, sensor)))
     return by_sensor
+
+
+def _least_of_cross(probe: CrossProbe, phase: PhaseSummary, sensor: str) -> float:
+    """Return the least meaningful difference of a probe in a phase; larger if its motion is not resolved."""
+    if phase.cross is None or phase.sensors[sensor].header.quantity not in phase.unresolved:
+        return probe.resolution
+    return max(probe.resolution, probe.unresolved(phase.cross))
 
 
 def _group(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:

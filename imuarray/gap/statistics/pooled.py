@@ -10,8 +10,9 @@ which is computed for each log of a sensor and for all of its logs. Smaller scor
 fit shifts many of them. Statistics are not independent, since they share the noise, the attitude and the fit; S is
 therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
 
-A single statistic of a sensor is pooled in the same way over its axes, phases and logs: a reading that is held a few
-times in a log repeats in a few phases, and a curved bias shows on each axis.
+A single statistic of readings, of times or of flags is pooled in the same way over the axes, phases and logs of a
+sensor: a reading that is held a few times in a log repeats in a few phases. Levels, noise and motions are not pooled,
+since a usual imperfection of the model shifts each of them slightly in all places.
 
 The response to motion of a sensor that is late, or mounted at another place in the box, deviates in the same direction
 on all of its axes. The scores of each statistic of a motion are therefore also summed over the axes.
@@ -37,6 +38,9 @@ FEWEST_PLACES, FEWEST_REPETITIONS = 6, 3
 """Least number of statistics of a sensor, and of places of a single statistic, whose scores are pooled: the pool of
 fewer adds little to the largest of them.
 """
+
+_OF_READINGS = frozenset({"codes", "distribution", "status", "timing"})
+"""Domains of the statistics that are pooled over their places."""
 
 _LEAST_SPREAD = 0.15
 """Least standard deviation by which a pooled score or a sum over axes is divided."""
@@ -93,10 +97,11 @@ def _motion_axes(keys: Sequence[Key]) -> Iterator[Indices]:
 
 
 def _repetitions(keys: Sequence[Key]) -> Iterator[Indices]:
-    """Yield the places of each statistic of a sensor."""
+    """Yield the places of each statistic of a sensor's readings, times and flags."""
     by_statistic: dict[tuple[str, str], list[int]] = {}
     for at, key in enumerate(keys):
-        by_statistic.setdefault((key.sensor, key.probe), []).append(at)
+        if key.domain in _OF_READINGS:
+            by_statistic.setdefault((key.sensor, key.probe), []).append(at)
     yield from (np.array(places, np.intp) for places in by_statistic.values() if len(places) >= FEWEST_REPETITIONS)
 
 

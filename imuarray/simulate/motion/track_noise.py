@@ -55,7 +55,8 @@ def without_track_noise(time_ns: Integers, columns: Reals, rests: Sequence[tuple
 
 
 def reduce_noise(values: Reals, variance: Reals, *, keeps_power: bool = False) -> Floats:
-    """Return values (w, 3) with white noise of this variance (3,) reduced. A straight line between the ends is
+    """Return values (w, 3) with noise of this variance reduced: (3,) if the noise is white, or (w // 2 + 1, 3) as the
+    variance that white noise of the same density at each frequency would have. A straight line between the ends is
     subtracted first. Of the residual, each frequency keeps the share of its amplitude by which its power exceeds that
     of the noise (Wiener filter); with `keeps_power` it keeps the square root of that share, so that the result has the
     variance of the motion (spectral subtraction).

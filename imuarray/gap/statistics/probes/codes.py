@@ -111,7 +111,13 @@ _probe = partial(PhaseProbe, "codes", in_motion=True, resolution=one_row)
 
 PROBES: Probes = {
     "odd_codes": _probe("arcsine of the share of odd codes", _STEPS, HALF_OF_CODES, odd),
-    "second_bit": _probe("arcsine of the share of codes with bit 1 set", ("quantisation",), HALF_OF_CODES, second_bit),
+    "second_bit": _probe(
+        "arcsine of the share of codes with bit 1 set",
+        ("quantisation",),
+        HALF_OF_CODES,
+        second_bit,
+        in_motion=False,  # depends on the level, which is known to less than a code only at rest
+    ),
     "absent_codes": _probe(
         "arcsine of the share of codes in the middle that never came", _STEPS, CODES, absent, resolution=_one_code
     ),

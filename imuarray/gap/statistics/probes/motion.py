@@ -12,7 +12,7 @@ delay.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import SQUARES, Cross
-from imuarray.gap.statistics.margins import CORRELATION, VARIANCE, Margin, response
+from imuarray.gap.statistics.margins import CORRELATION, VARIANCE, response
 from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Probes, fisher_z, log, once
 
 AXES = np.arange(3)
@@ -342,21 +342,18 @@ _OF_A_SLIP = 0.03
 """Correlation with a power of the rate that is caused by a delay that varies as the polls slip against the data clock.
 """
 
+_OF_GAINS, _OF_VARIANCES, _OF_WINDOWS = 0.02, 0.7, 0.25
+"""Least meaningful differences in a motion with changes that the rows do not resolve: of gains and correlations, of
+logs of variances, and of delays as a share of a window. In recordings of healthy sensors that are turned by hand, swung
+or carried they differ from simulations of the estimated motion by up to three times as much.
+"""
+
 _OF_A_CONVERSION_S = 1e-4
 """Delay between the axes of chips that convert them one after the other (BMA-94); a row has a single time for all axes.
 """
 
 
-def _probe(
-    about: str,
-    moved_by: tuple[str, ...],
-    margin: Margin,
-    statistic: Callable[[Cross, str], Floats],
-    unit: str = "",
-    resolution: float = 0.0,
-) -> CrossProbe:
-    return CrossProbe("motion", about, moved_by, margin, statistic, unit=unit, in_motion=True, resolution=resolution)
-
+_probe = partial(CrossProbe, "motion", in_motion=True, unresolved=lambda _: _OF_GAINS)
 
 PROBES: Probes = {
     "motion_gain": _probe("share of motion along the axis", _GAIN, response, partial(gain, 0)),
@@ -369,8 +366,9 @@ PROBES: Probes = {
         ("skew", "clock_error", "stale_samples", "own_clock"),
         response,
         delay,
-        "s",
+        unit="s",
         resolution=_OF_A_CONVERSION_S,
+        unresolved=lambda cross: _OF_WINDOWS * cross.window_s,
     ),
     "motion_delay_rate": ArrayProbe(
         "motion",
@@ -387,10 +385,15 @@ PROBES: Probes = {
         ("jitter", "size_effect", "nonlinearity", "skew", "saturation", "own_clock"),
         VARIANCE,
         residual,
-        "log {u}^2",
+        unit="log {u}^2",
+        unresolved=lambda _: _OF_VARIANCES,
     ),
     "motion_coupling": _probe(
-        "log of how much of it rotation or force explains", ("size_effect", "g_sensitivity"), VARIANCE, coupling
+        "log of how much of it rotation or force explains",
+        ("size_effect", "g_sensitivity"),
+        VARIANCE,
+        coupling,
+        unresolved=lambda _: _OF_VARIANCES,
     ),
     "motion_square": _probe(_BEND.format("square"), ("nonlinearity",), CORRELATION, square, resolution=_OF_A_SLIP),
     "motion_cube": _probe(_BEND.format("cube"), ("nonlinearity",), CORRELATION, cube, resolution=_OF_A_SLIP),

@@ -85,12 +85,13 @@ class LogProbe(Probe):
 @dataclass(frozen=True)
 class CrossProbe(Probe):
     """Probe of one sensor compared with the others of the array, at rest or (`in_motion`) in motion; `resolution` is
-    the least meaningful difference.
+    the least meaningful difference, and `unresolved` returns it for a motion with changes that the rows do not resolve.
     """
 
     statistic: Callable[[Cross, str], Floats]
     in_motion: bool = False
     resolution: float = 0.0
+    unresolved: Callable[[Cross], float] = lambda _: 0.0
 
 
 @dataclass(frozen=True)
