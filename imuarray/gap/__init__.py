@@ -44,10 +44,9 @@ all scores. Each score is replaced by the normal deviate with the same tail prob
 is fitted to the replicates; the scores of each replicate are converted with the tails of the others.
 
 **Pooled scores** (`statistics.pooled`). The norm of the amounts by which the normal scores of a sensor exceed one
-standard deviation is formed for each log and for all logs, and for each statistic of readings, times or flags over
-axes, phases and logs, and compared with chance like a single score: an effect that changes tens of statistics a little,
-or the same one in several places, is significant there before it is in a single one. The scores of a response to motion
-are also summed over the axes of a sensor, which a delay or another position shifts alike.
+standard deviation is formed for each log and for all logs, and compared with chance like a single score: an effect that
+changes tens of statistics a little is significant there before it is in a single one. The scores of a response to
+motion are also summed over the axes of a sensor, which a delay or another position shifts alike.
 
 **Localisation** (`inference.assessment`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
 by the largest normal score among siblings, against the same maximum over the replicates (Westfall and Young 1993;

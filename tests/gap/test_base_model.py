@@ -295,6 +295,14 @@ def test_a_configured_filter_is_fitted_where_it_is_observable(lag_1: float, expe
     assert lag_1 == 0.8 or low_pass.poles == 1.0
 
 
+def test_a_vibration_of_two_axes_is_no_filter() -> None:
+    """A box that vibrates along two of the axes has correlated readings there; the third axis is white."""
+    rng = np.random.default_rng(11)
+    noise = rng.normal(size=(20_000, 3))
+    noise[:, :2] += 0.3 * lfilter([1.0], [1.0, -1.9, 0.95], rng.normal(size=(20_000, 1)), axis=0)
+    assert fitted_to_rows(noise, data_rate_hz=800.0, bandwidth_hz=90.0).low_pass is None
+
+
 @pytest.mark.slow
 def test_white_noise_gives_no_filter() -> None:
     """One of 250 recordings of 3000 rows gives a filter by chance, so that 3 of 40 do once in 1500 times."""

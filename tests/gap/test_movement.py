@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.signal import lfilter
 
 from imuarray.gap.diagnose import diagnose
+from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording import movement
-from imuarray.gap.recording.movement import movements_of, shaken_quantities, shows_motion
+from imuarray.gap.recording.movement import movements_of, shaken_quantities, shows_motion, unresolved_quantities
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.quiet import QuietRest, knocks, quiet_rest
 from imuarray.gap.recording.recordings import recording_of, recordings_of
+from imuarray.gap.statistics.catalogue import statistics
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.posed import Movement, PoseSequence
@@ -68,10 +72,11 @@ def written(
     shaking: tuple[float, float] = (0.0, 1.0),
     shaken_s: tuple[float, float] = (4.0, 8.0),
     rocking: tuple[float, float] = (0.0, 1.0),
+    memory: float = 0.0,
 ) -> Log:
-    """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed. In a
-    stretch accelerometers are shaken along z of the box, by an amplitude in g at a frequency in Hz, and gyroscopes by
-    `rocking` about z, in dps.
+    """Noise of two counts, with this correlation from row to row; the first sensor lacks the rows of a stretch; one may
+    have axes that are all reversed. In a stretch accelerometers are shaken along z of the box, by an amplitude in g at
+    a frequency in Hz, and gyroscopes by `rocking` about z, in dps.
     """
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, header in enumerate(sensors):
@@ -84,7 +89,8 @@ def written(
             shaken = amplitude * np.sin(2 * np.pi * hertz * time * 1e-9) * moves
             reading = (sign * stimulus(header, time * 1e-9) + biases[number]) * header.sensitivity
             reading += shaken[:, None] * np.asarray(header.orientation)[2] * header.sensitivity
-            noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
+            white = np.random.default_rng(number).normal(0, 2 * np.sqrt(1 - memory**2), (len(time), 3))
+            noise = lfilter([1.0], [1.0, -memory], white, axis=0)
             log.append(
                 header.name, Block(time, np.rint(reading + noise).astype(np.int16), np.zeros(len(time), np.uint16))
             )
@@ -191,6 +197,49 @@ def test_a_still_axis_has_no_noise_in_the_movement(tmp_path: Path) -> None:
     times = np.linspace(4.1, 7.9, 500) * SECOND
     rate_dps = np.degrees(motion.columns.at(times.astype(np.int64))[0][:, [3, 5]])
     assert rate_dps.std() < 0.0095
+
+
+def test_filtered_noise_is_reduced_like_white_noise(tmp_path: Path) -> None:
+    """Noise with a correlation of 0.95 from row to row has tiny second differences; its spectrum at rest shows it. The
+    mean of two gyroscopes has 0.014 dps.
+    """
+    log = written(tmp_path / "log.h5", array(accelerometers=0, gyroscopes=2), rates_hz=(400.0, 400.0), memory=0.95)
+    motion = movement_of(log, TURN, [REST, AFTER])
+    assert motion is not None
+    times = np.linspace(4.1, 7.9, 500) * SECOND
+    rate_dps = np.degrees(motion.columns.at(times.astype(np.int64))[0][:, [3, 5]])
+    assert rate_dps.std() < 0.0095
+
+
+@pytest.mark.parametrize(("amplitude_g", "quantities"), [(0.0, ()), (0.01, ("specific_force",))])
+def test_changes_that_rows_do_not_resolve(tmp_path: Path, amplitude_g: float, quantities: tuple[str, ...]) -> None:
+    """80 counts at 31 Hz in rows of 100 Hz, beside noise of two counts; the gyroscope turns smoothly."""
+    sensors = array(accelerometers=2, gyroscopes=1)
+    log = written(tmp_path / "log.h5", sensors, rates_hz=(100.0, 100.0, 100.0), shaking=(amplitude_g, 31.0))
+    assert unresolved_quantities([log[name] for name in log.sensors], TURN, [REST, AFTER]) == quantities
+    recording = recording_of(log)
+    _, campaign = prepare([recording], None, 0)
+    found = statistics(campaign)
+    least = {
+        key.probe: resolution
+        for key, resolution in zip(found.keys, found.resolutions.tolist(), strict=True)
+        if key.domain == "motion" and key.sensor == "Acc0"
+    }
+    assert least["motion_delay"] == pytest.approx(0.25 * 0.02 if quantities else 1e-4)
+    assert least["motion_gain"] == (0.05 if quantities else 0.0)
+
+
+def test_a_rough_reading_of_a_single_sensor_is_no_motion(tmp_path: Path) -> None:
+    """A gyroscope whose readings have spikes in the turn is rough; the other two are not."""
+    sensors = array(accelerometers=0, gyroscopes=3)
+    log = written(tmp_path / "log.h5", sensors, rates_hz=(100.0, 100.0, 100.0))
+    counts = np.asarray(log["Gyro1"].counts).copy()
+    counts[500:700:20] += 4000
+    rough = SimpleNamespace(
+        **{name: getattr(log["Gyro1"], name) for name in ("name", "quantity", "sensitivity", "between")}
+    )
+    rough.counts = counts
+    assert unresolved_quantities([log["Gyro0"], rough, log["Gyro2"]], TURN, [REST, AFTER]) == ()  # type: ignore[list-item]
 
 
 @pytest.mark.slow

@@ -165,33 +165,44 @@ def vibrates(triads: Sequence[SensorLog], phase: Phase, noise: Mapping[str, Floa
 
 
 def unresolved_quantities(triads: Sequence[SensorLog], phase: Phase, rests: Sequence[Phase]) -> tuple[str, ...]:
-    """Return the quantities of which the sensors measure changes in a motion that their rows do not resolve. How a
-    sensor responds to such a motion depends on the moments of its rows, and cannot be predicted from other sensors.
+    """Return the quantities of which the sensors measure changes in a motion that the rows of the slowest sensor do not
+    resolve. How a sensor responds to such a motion depends on the moments of its rows, and cannot be predicted from
+    other sensors.
 
     The sensors with the least noise at rest decide; of several, the lower median, since a fault of one is no motion.
     """
+    rows = {sensor.name: RecordedSource(sensor).rows(phase.start_ns, phase.end_ns) for sensor in triads}
+    slowest = min(filter(None, rows.values()), default=0)
     unresolved = []
     for quantity in INERTIAL:
-        group = [sensor for sensor in triads if sensor.quantity == quantity]
-        rough = [pair for sensor in group if (pair := _roughness_ratio(sensor, phase, rests)) is not None]
-        least = min((noise for noise, _ in rough), default=0.0)
-        ratios = sorted(ratio for noise, ratio in rough if noise <= _AS_QUIET * least)
+        group = [sensor for sensor in triads if sensor.quantity == quantity and rows[sensor.name]]
+        ratios_of = (_roughness_ratio(sensor, phase, rests, round(rows[sensor.name] / slowest)) for sensor in group)
+        known = [pair for pair in ratios_of if pair is not None]
+        least = min((noise for noise, _ in known), default=0.0)
+        ratios = sorted(ratio for noise, ratio in known if noise <= _AS_QUIET * least)
         if ratios and ratios[(len(ratios) - 1) // 2] > _UNRESOLVED:
             unresolved.append(quantity)
     return tuple(unresolved)
 
 
-def _roughness_ratio(sensor: SensorLog, phase: Phase, rests: Sequence[Phase]) -> tuple[float, float] | None:
-    """Return the third differences (rms, in units of the sensor) of readings in the quietest phase at rest, and those
-    in a phase as a multiple of them, on the axis where this is largest; None without enough rows.
+def _roughness_ratio(sensor: SensorLog, phase: Phase, rests: Sequence[Phase], rows: int) -> tuple[float, float] | None:
+    """Return the third differences (rms, in units of the sensor) of means over so many rows in the quietest phase at
+    rest, and those in a phase as a multiple of them, on the axis where this is largest; None without enough rows.
     """
-    at_rest = [_roughness(counts) for rest in rests if len(counts := _some_counts(sensor, rest)) > _FEWEST_WINDOWS]
-    moving = _some_counts(sensor, phase)
-    if not at_rest or len(moving) <= _FEWEST_WINDOWS:
+    at_rest = [_means(_some_counts(sensor, rest), rows) for rest in rests]
+    quietest = [_roughness(means) for means in at_rest if len(means) > _FEWEST_WINDOWS]
+    moving = _means(_some_counts(sensor, phase), rows)
+    if not quietest or len(moving) <= _FEWEST_WINDOWS:
         return None
     least = math.sqrt(20) * _LEAST_NOISE  # white noise of variance 1 has third differences of variance 20
-    quiet = np.maximum(np.min(at_rest, axis=0), least)
+    quiet = np.maximum(np.min(quietest, axis=0), least)
     return float(np.mean(quiet)) / sensor.sensitivity, float((_roughness(moving) / quiet).max())
+
+
+def _means(counts: Floats, rows: int) -> Floats:
+    """Return the means (n // rows, 3) of counts (n, 3) over so many rows."""
+    whole = len(counts) // rows
+    return np.asarray(counts[: whole * rows].reshape(whole, rows, 3).mean(axis=1))
 
 
 def _roughness(counts: Floats) -> Floats:

@@ -10,10 +10,6 @@ which is computed for each log of a sensor and for all of its logs. Smaller scor
 fit shifts many of them. Statistics are not independent, since they share the noise, the attitude and the fit; S is
 therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
 
-A single statistic of readings, of times or of flags is pooled in the same way over the axes, phases and logs of a
-sensor: a reading that is held a few times in a log repeats in a few phases. Levels, noise and motions are not pooled,
-since a usual imperfection of the model shifts each of them slightly in all places.
-
 The response to motion of a sensor that is late, or mounted at another place in the box, deviates in the same direction
 on all of its axes. The scores of each statistic of a motion are therefore also summed over the axes.
 """
@@ -34,13 +30,9 @@ with a mechanism were detected, and one was reported in 7 of 120 cases without; 
 Other values from 0 to 1.5 detected 59 to 62.
 """
 
-FEWEST_PLACES, FEWEST_REPETITIONS = 6, 3
-"""Least number of statistics of a sensor, and of places of a single statistic, whose scores are pooled: the pool of
-fewer adds little to the largest of them.
+FEWEST_PLACES = 6
+"""Least number of statistics of a sensor whose scores are pooled: the pool of fewer adds little to the largest of them.
 """
-
-_OF_READINGS = frozenset({"codes", "distribution", "status", "timing"})
-"""Domains of the statistics that are pooled over their places."""
 
 _LEAST_SPREAD = 0.15
 """Least standard deviation by which a pooled score or a sum over axes is divided."""
@@ -74,16 +66,15 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
     """
     sizes = np.nan_to_num(np.abs(normal))
     excess = np.maximum(sizes - BEYOND, 0.0)
-    pools, repetitions, axes = list(_pools(keys)), list(_repetitions(keys)), list(_motion_axes(keys))
+    pools, axes = list(_pools(keys)), list(_motion_axes(keys))
     scores = [np.zeros((len(normal), 0))]
-    for several in (pools, repetitions):
-        if several:
-            norms = np.stack([np.linalg.norm(excess[:, places], axis=1) for places in several], axis=1)
-            scores.append(_with_largest_of(_standardise_by_others(norms), sizes))
+    if pools:
+        norms = np.stack([np.linalg.norm(excess[:, places], axis=1) for places in pools], axis=1)
+        scores.append(_with_largest_of(_standardise_by_others(norms), sizes))
     if axes:
         sums = [np.nan_to_num(normal[:, places]).sum(axis=1) / np.sqrt(len(places)) for places in axes]
         scores.append(_with_largest_of(np.abs(_standardise_by_others(np.stack(sums, axis=1))), sizes))
-    strongest = [places[int(sizes[0, places].argmax())] for places in (*pools, *repetitions, *axes)]
+    strongest = [places[int(sizes[0, places].argmax())] for places in (*pools, *axes)]
     return PooledScores(np.concatenate(scores, axis=1), np.array(strongest, np.intp))
 
 
@@ -94,15 +85,6 @@ def _motion_axes(keys: Sequence[Key]) -> Iterator[Indices]:
         if key.domain == "motion":
             by_statistic.setdefault((key.log, key.sensor, key.phase_number, key.probe), []).append(at)
     yield from (np.array(places, np.intp) for places in by_statistic.values() if len(places) > 1)
-
-
-def _repetitions(keys: Sequence[Key]) -> Iterator[Indices]:
-    """Yield the places of each statistic of a sensor's readings, times and flags."""
-    by_statistic: dict[tuple[str, str], list[int]] = {}
-    for at, key in enumerate(keys):
-        if key.domain in _OF_READINGS:
-            by_statistic.setdefault((key.sensor, key.probe), []).append(at)
-    yield from (np.array(places, np.intp) for places in by_statistic.values() if len(places) >= FEWEST_REPETITIONS)
 
 
 def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
