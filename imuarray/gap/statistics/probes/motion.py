@@ -342,10 +342,10 @@ _OF_A_SLIP = 0.03
 """Correlation with a power of the rate that is caused by a delay that varies as the polls slip against the data clock.
 """
 
-_OF_GAINS, _OF_VARIANCES, _OF_WINDOWS = 0.05, 0.7, 0.25
+_OF_GAINS, _OF_VARIANCES, _OF_WINDOWS = 0.1, 1.5, 0.5
 """Least meaningful differences in a motion with changes that the rows do not resolve: of gains and correlations, of
 logs of variances, and of delays as a share of a window. In recordings of healthy sensors that are turned by hand, swung
-or carried they differ from simulations of the estimated motion by up to three times as much.
+or carried they differ from simulations of the estimated motion by up to these amounts.
 """
 
 _OF_A_CONVERSION_S = 1e-4

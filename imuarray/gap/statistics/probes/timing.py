@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.statistics.margins import GENEROUS, ROWS, RUN, VARIANCE
 from imuarray.gap.statistics.probes.probe import CampaignProbe, PhaseProbe, Probes, arcsine, log, one_row
 from imuarray.gap.statistics.summary import Summary
@@ -107,18 +108,27 @@ def _repeated_rows(phases: Sequence[Summary]) -> tuple[float, int]:
 
 
 _FEWEST_PHASES = 2
-_FORM = 0.25
-"""Relative error of the share of readings that are equal by chance. It is caused by noise that is not normal and is not
-reduced by a larger number of rows.
+_FORM, _FORM_IN_MOTION = 0.25, 1.0
+"""Relative error of the share of readings that are equal by chance, at rest and in motion. It is caused by noise that
+is not normal, and by a motion or a vibration that the simulation lacks, and is not reduced by a larger number of rows.
 """
+
+
+def _resolution(summary: Summary) -> float:
+    """Return the resolution of `repeats`: the standard error of the arcsine of a share of the rows and, in motion, the
+    change of the arcsine of the measured share by `_FORM_IN_MOTION`, added in quadrature.
+    """
+    repeated = 0.0 if is_at_rest(summary.phase) else summary.repeats.repeat_share * (summary.rows - 1)
+    return math.hypot(0.5, _FORM_IN_MOTION / 2 * math.sqrt(max(repeated, 0.0))) / math.sqrt(max(summary.rows, 1))
 
 
 def _resolution_in_all(phases: Sequence[Summary]) -> float:
     """Return the resolution of `repeats_in_all`: the standard error of the arcsine of a share of all rows, and the
-    change of the arcsine of the measured share by `_FORM`, added in quadrature.
+    change of the arcsine of the measured share by its relative error, added in quadrature.
     """
     repeated, rows = _repeated_rows(phases)
-    return math.hypot(0.5, _FORM / 2 * math.sqrt(repeated)) / math.sqrt(max(rows, 1))
+    form = _FORM if all(is_at_rest(phase.phase) for phase in phases) else _FORM_IN_MOTION
+    return math.hypot(0.5, form / 2 * math.sqrt(repeated)) / math.sqrt(max(rows, 1))
 
 
 def longest_repeat(summary: Summary) -> Floats:
@@ -155,6 +165,7 @@ PROBES: Probes = {
         ("odr_error", "stale_samples", "stuck", "adaptive_range"),
         ROWS,
         repeats,
+        resolution=_resolution,
     ),
     "repeats_in_all": CampaignProbe(
         "timing",
