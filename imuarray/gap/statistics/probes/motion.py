@@ -27,10 +27,15 @@ from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe
 AXES = np.arange(3)
 _REFERENCE, _BENDING = slice(3, 6), np.arange(6, 9)
 
-_STILL = 1e-3
-"""Share of the mean square motion over the axes that regularises delays and the gains against a track. Along an axis
-with less motion the readings are mostly cross-talk by misalignment, which has no delay of its own, and against a
-noise-free reference any gain would fit.
+_STILL, _STILL_FOR_DELAYS = 1e-3, 1e-2
+"""Share of the mean square motion over the axes that regularises the gains against a track, and delays. Along an axis
+with less motion the readings are mostly cross-talk by misalignment, 6 degrees of which are a share of 0.01. Cross-talk
+has no delay of its own, and against a noise-free reference any gain would fit.
+"""
+
+_LARGEST_BEND = 0.99
+"""Limit of the correlation with a power of the rate. A rate that is nearly constant has a constant power, which an
+error of the bias resembles: the artanh of the correlation then depends on its last digits.
 """
 
 _MOVES = 1e-2
@@ -103,7 +108,7 @@ def delay(cross: Cross, sensor: str) -> Floats:
     lacks = np.einsum("oa,ab,ob->o", gains, turning, gains) - np.einsum(
         "ob,ob->o", joint.turning[np.ix_(AXES, reference)], gains
     )
-    damped = square**2 + (_STILL * np.diag(joint.changes)[reference].mean()) ** 2
+    damped = square**2 + (_STILL_FOR_DELAYS * np.diag(joint.changes)[reference].mean()) ** 2
     return np.asarray(np.divide(lacks * square, damped, out=NOTHING.copy(), where=damped > 0) * cross.window_s)
 
 
@@ -227,7 +232,8 @@ def _bend(cross: Cross, sensor: str, columns: Sequence[int]) -> Floats:
     sizes = np.diag(remaining)[AXES] * np.diag(remaining)[_BENDING]
     products, motion = remaining[AXES, _BENDING], np.diag(reference_moments)
     shows = (sizes > 0) & (motion > _MOVES * motion.mean())
-    return fisher_z(np.divide(products, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=shows))
+    bend = np.divide(products, np.sqrt(np.maximum(sizes, 0.0)), out=NOTHING.copy(), where=shows)
+    return fisher_z(bend.clip(-_LARGEST_BEND, _LARGEST_BEND))
 
 
 class _JointMoments(NamedTuple):
