@@ -43,6 +43,10 @@ from its population and theta fitted again to each. It thus includes the uncerta
 all scores. Each score is replaced by the normal deviate with the same tail probability, by a tail of Student's t that
 is fitted to the replicates; the scores of each replicate are converted with the tails of the others.
 
+**Motions without an instrument** are estimated from the sensors themselves (`recording.movement`), less the noise of
+their mean. Where the readings change faster than their rows resolve, as in a hand, the response of a sensor depends on
+the moments of its rows, and differences count only beyond wide margins.
+
 **Pooled scores** (`statistics.pooled`). The norm of the amounts by which the normal scores of a sensor exceed one
 standard deviation is formed for each log and for all logs, and compared with chance like a single score: an effect that
 changes tens of statistics a little is significant there before it is in a single one. The scores of a response to

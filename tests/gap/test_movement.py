@@ -217,6 +217,7 @@ def test_changes_that_rows_do_not_resolve(tmp_path: Path, amplitude_g: float, qu
     log = written(tmp_path / "log.h5", sensors, rates_hz=(100.0, 100.0, 100.0), shaking=(amplitude_g, 31.0))
     assert unresolved_quantities([log[name] for name in log.sensors], TURN, [REST, AFTER]) == quantities
     recording = recording_of(log)
+    assert any("1 of 1 motions have changes" in note for note in recording.notes) == bool(quantities)
     _, campaign = prepare([recording], None, 0)
     found = statistics(campaign)
     least = {

@@ -85,6 +85,11 @@ _SHARED_MOTION = (
     "them does not show in motion."
 )
 
+_UNRESOLVED_CHANGES = (
+    "{count} of {motions} motions have changes that the rows do not resolve: differences of the response to them count "
+    "only beyond wide margins."
+)
+
 _SAME_COSINE = np.cos(np.radians(10))
 """Cosine of the largest angle between the directions up of poses on one face."""
 
@@ -156,6 +161,8 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
         unresolved = {phase: unresolved_quantities(triads, phase, all_rests) for phase in moving}
+        rough = sum(map(bool, unresolved.values()))
+        notes += [_UNRESOLVED_CHANGES.format(count=rough, motions=len(moving))] if rough else []
         knocked = [span for phase in moving for span in knocks(triads, phase, all_rests)]
     shaken = {rest: shaken_quantities(triads, rest.phase) for rest in quiet}
     rests = [rest for rest, quantities in shaken.items() if not quantities] or quiet
