@@ -34,8 +34,10 @@ FEWEST_PLACES = 6
 """Least number of statistics of a sensor whose scores are pooled: the pool of fewer adds little to the largest of them.
 """
 
-_LEAST_SPREAD = 0.15
-"""Least standard deviation by which a pooled score or a sum over axes is divided."""
+_LEAST_SPREAD, _LEAST_SPREAD_OF_SUMS = 0.15, 0.7
+"""Least standard deviation by which a pooled score, and a sum over axes, is divided. A sum varies by less than 1 only
+if the scores are those of differences below the least meaningful one.
+"""
 
 _QUANTILES = (0.5, 0.9)
 """Quantiles of the largest score of a campaign that are made equal for pooled and single scores. Pooled scores have
@@ -70,10 +72,11 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
     scores = [np.zeros((len(normal), 0))]
     if pools:
         norms = np.stack([np.linalg.norm(excess[:, places], axis=1) for places in pools], axis=1)
-        scores.append(_with_largest_of(_standardise_by_others(norms), sizes))
+        scores.append(_with_largest_of(_standardise_by_others(norms, _LEAST_SPREAD), sizes))
     if axes:
         sums = [np.nan_to_num(normal[:, places]).sum(axis=1) / np.sqrt(len(places)) for places in axes]
-        scores.append(_with_largest_of(np.abs(_standardise_by_others(np.stack(sums, axis=1))), sizes))
+        standardised = _standardise_by_others(np.stack(sums, axis=1), _LEAST_SPREAD_OF_SUMS)
+        scores.append(_with_largest_of(np.abs(standardised), sizes))
     strongest = [places[int(sizes[0, places].argmax())] for places in (*pools, *axes)]
     return PooledScores(np.concatenate(scores, axis=1), np.array(strongest, np.intp))
 
@@ -99,15 +102,15 @@ def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
         yield from (np.array(places, np.intp) for places in pools if len(places) >= FEWEST_PLACES)
 
 
-def _standardise_by_others(values: Floats) -> Floats:
+def _standardise_by_others(values: Floats, least: float) -> Floats:
     """Return deviations (b, k) of values (b, k) from the mean of the other campaigns, divided by their standard
-    deviation.
+    deviation or the `least` one.
     """
     others = max(len(values) - 1, 1)
     means = (values.sum(axis=0) - values) / others
     squares = values**2
     variances = (squares.sum(axis=0) - squares) / others - means**2
-    return np.asarray((values - means) / np.sqrt(np.maximum(variances, _LEAST_SPREAD**2)))
+    return np.asarray((values - means) / np.sqrt(np.maximum(variances, least**2)))
 
 
 def _with_largest_of(scores: Floats, singles: Floats) -> Floats:

@@ -108,18 +108,24 @@ def _repeated_rows(phases: Sequence[Summary]) -> tuple[float, int]:
 
 
 _FEWEST_PHASES = 2
-_FORM, _FORM_IN_MOTION = 0.25, 1.0
+_FORM, _FORM_IN_MOTION = 0.25, 3.0
 """Relative error of the share of readings that are equal by chance, at rest and in motion. It is caused by noise that
 is not normal, and by a motion or a vibration that the simulation lacks, and is not reduced by a larger number of rows.
 """
+
+_FEW_IN_MOTION = 4.0
+"""Number that is added to that of the equal readings in a motion: such a motion may make none of them equal."""
 
 
 def _resolution(summary: Summary) -> float:
     """Return the resolution of `repeats`: the standard error of the arcsine of a share of the rows and, in motion, the
     change of the arcsine of the measured share by `_FORM_IN_MOTION`, added in quadrature.
     """
-    repeated = 0.0 if is_at_rest(summary.phase) else summary.repeats.repeat_share * (summary.rows - 1)
-    return math.hypot(0.5, _FORM_IN_MOTION / 2 * math.sqrt(max(repeated, 0.0))) / math.sqrt(max(summary.rows, 1))
+    if is_at_rest(summary.phase):
+        return one_row(summary)
+    repeated = summary.repeats.repeat_share * (summary.rows - 1) if summary.rows > 1 else 0.0
+    form = _FORM_IN_MOTION / 2 * math.sqrt(repeated + _FEW_IN_MOTION)
+    return math.hypot(0.5, form) / math.sqrt(max(summary.rows, 1))
 
 
 def _resolution_in_all(phases: Sequence[Summary]) -> float:
@@ -127,8 +133,8 @@ def _resolution_in_all(phases: Sequence[Summary]) -> float:
     change of the arcsine of the measured share by its relative error, added in quadrature.
     """
     repeated, rows = _repeated_rows(phases)
-    form = _FORM if all(is_at_rest(phase.phase) for phase in phases) else _FORM_IN_MOTION
-    return math.hypot(0.5, form / 2 * math.sqrt(repeated)) / math.sqrt(max(rows, 1))
+    form, few = (_FORM, 0.0) if all(is_at_rest(phase.phase) for phase in phases) else (_FORM_IN_MOTION, _FEW_IN_MOTION)
+    return math.hypot(0.5, form / 2 * math.sqrt(repeated + few)) / math.sqrt(max(rows, 1))
 
 
 def longest_repeat(summary: Summary) -> Floats:
