@@ -56,7 +56,7 @@ def test_the_notebook_other_rig_imports_all_rows(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.slow
 def test_the_notebook_diagnosis_names_the_tone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The notebook adds a tone of 0.6 dps at 11 Hz. With some draws of the replicates a weak wander is named after it."""
+    """The notebook adds a tone of 0.6 dps at 11 Hz. With some draws of the replicates a wander is named after it."""
     cause, *others = run("diagnosis", tmp_path, monkeypatch)["diagnosis"].causes
     assert (cause.effect, cause.sensors) == ("tone", ("Gyro2",))
     assert all(other.probability < cause.probability for other in others)
