@@ -23,7 +23,7 @@ __all__ = ["open_bus"]
 
 
 def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
-    """Return the bus of the emulated `array`by the parameters of its URL: see `firmware_emulator.array.open_bus`."""
+    """Return the bus of the emulated `array` with the parameters of its URL: see `firmware_emulator.array.open_bus`."""
     from firmware_emulator import array as emulated
 
     return emulated.open_bus(query, array)

@@ -50,7 +50,9 @@ def program(config: Path, usbip: bool, serial: bool, host: str, port: int, query
 
 
 def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
-    """Return the emulated bus with these parameters of a URL, on the real clock, in which kernels and drivers sleep."""
+    """Return the emulated bus with these parameters of a URL, on the real clock, because kernels and external drivers
+    sleep in real time.
+    """
     parameters = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
     try:
         if parameters["clock"] != "real":

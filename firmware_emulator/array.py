@@ -55,7 +55,7 @@ ERRNOS = (6, 121)
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno", "oscillators", "pulse_hz")
 OSCILLATORS = ("exact", "drawn")
 OSCILLATOR_ERROR = typical(0.01)
-"""Relative rate error of the oscillator of a six-axis chip, an assumption; data sheets allow a few percent."""
+"""Relative rate error of the oscillator of a six-axis chip: an assumption; data sheets allow a few percent."""
 PULSE_HZ = 10.0
 """Frequency of the synchronisation pulses if the URL does not state it."""
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
@@ -268,7 +268,7 @@ def six_axis_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
 
 
 def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
-    """Return the plain board, or one with the mechanisms that the query names; with faults from a file it names."""
+    """Return the plain board, or one with the mechanisms, and the faults of the file, that the query names."""
     board: BoardKind = Board
     if any(key in FITTINGS for key in query):
         from firmware_emulator.mechanisms.query import board_from

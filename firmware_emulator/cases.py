@@ -45,7 +45,7 @@ from imuarray.shipped import find_config
 
 PROGRAM = "firmware_emulator.cases"
 RATE_HZ = 64.0
-"""Frames per second. At this rate, aliases of the mains frequency are at 14 Hz, of its harmonics at 28 and 22 Hz."""
+"""Frames per second. The mains frequency then has its alias at 14 Hz, its harmonics have theirs at 28 and 22 Hz."""
 FIRST_LOG = datetime(2013, 9, 16, 9, 0, tzinfo=UTC)
 BETWEEN_LOGS = timedelta(minutes=20)
 _NAMES = {kind: name for name, kind in MECHANISMS.items()}
@@ -130,7 +130,9 @@ class BenchCase:
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the contents of the sealed file; `logs` have the events of each, and random affected sensors."""
+        """Return the contents of the sealed file; `logs` contain the events in each log, and the affected sensors where
+        a mechanism chose them at random.
+        """
         return {
             "array": self.array.name,
             "seed": self.seed,
@@ -202,7 +204,7 @@ class _LogBegin:
 
 
 def _affected_sensors(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the sensors on which a mechanism is put, or those that it affected in any log, if the logs state them."""
+    """Return the sensors on which a mechanism is put; only those that it affected in a log, if the logs state any."""
     touched = {name for log in logs for name in log["touched"].get(mechanism, ())}
     return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
@@ -232,7 +234,9 @@ def call_it_reference(path: Path) -> None:
 
 
 def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> None:
-    """Rewrite a log's reference at its own rate and exact clock, from `begun_ns` of the world on."""
+    """Rewrite the reference of a log at its own rate, with times of a separate, exact clock, from `begun_ns` of the
+    world on.
+    """
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = experiment.world.commanded if isinstance(experiment.world, Course) else experiment.world
     stimuli = [world(begun_ns + at_ns) for at_ns in times.tolist()]
@@ -252,7 +256,7 @@ def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> No
 def asked(
     names: Sequence[str], severities: Sequence[float], sensors: Sequence[str]
 ) -> list[tuple[str, float, tuple[str, ...]]]:
-    """Return options given once for each mechanism; ValueError unless for all of them or for none."""
+    """Return the options of each mechanism; ValueError if one is not given once for each of them or not at all."""
     severities, sensors = severities or (1.0,) * len(names), sensors or ("",) * len(names)
     if not len(names) == len(severities) == len(sensors):
         raise ValueError("--severity and --sensor: as often as --mechanism, or not at all")

@@ -22,7 +22,9 @@ class Target(Protocol):
     address: int
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Receive `data`, a byte at `at_ns` and each `byte_ns` later; return the number of acknowledged bytes."""
+        """Receive `data`, whose first byte is complete at `at_ns` and every further one `byte_ns` later; return the
+        number of acknowledged bytes.
+        """
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Send `count` bytes, the first of which is fetched at `at_ns` and every further one `byte_ns` later."""
@@ -82,7 +84,9 @@ def registers_of(facts: ModuleType, bank: int = 0) -> dict[int, Register]:
 
 
 class Chip:
-    """256 bytes behind a pointer that increments with each; outside `table` they read 0, store nothing (DEC-01)."""
+    """A page of 256 bytes behind a pointer that increments after each byte; unmapped registers read 0 and store nothing
+    (DEC-01). `table` has its registers.
+    """
 
     table: ClassVar[ModuleType]
     who_am_i: ClassVar[Register | None] = None

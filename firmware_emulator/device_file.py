@@ -125,7 +125,9 @@ class Adapter:
         return OpenFile(self)
 
     def transfer(self, messages: Sequence[Message]) -> list[bytes]:
-        """Transfer START, messages with repeated STARTs, STOP (LNX-06); return each read. OSError of the kernel."""
+        """Transfer a START, messages joined by repeated STARTs, and a STOP (LNX-06); return the bytes of each read.
+        Raises the OSError that the kernel raises.
+        """
         self._check(messages)
         if self.stuck:
             self.wire.clock.advance(self.timeout_ns)
@@ -300,7 +302,7 @@ def as_word(data: bytes) -> bytes:
 
 
 def outgoing(size: int, data: bytes) -> bytes:
-    """Return the bytes after a write's command: a byte, a word, a block with its length (SMBus) or without (I2C)."""
+    """Return the bytes after the command of a write: byte, word, or block with its length (SMBus) or without (I2C)."""
     if size == BYTE_DATA:
         return data
     if size == WORD_DATA:
@@ -387,7 +389,9 @@ def identity(status: os.stat_result) -> Identity:
 
 
 def with_address(argument: Any, call: Callable[[int], int]) -> Any:
-    """Call `call` as `fcntl.ioctl` does: a number unchanged, a buffer by address, bytes as a copy, the result."""
+    """Call `call` with a Python argument as `fcntl.ioctl` does: a number is passed unchanged, a buffer by its address,
+    and immutable bytes as a copy, which is then the result.
+    """
     if isinstance(argument, int):
         return call(argument)
     if isinstance(argument, bytes):

@@ -106,7 +106,7 @@ def _line_of(text: str, number: int, key: str) -> int:
 
 
 def faults_from(tables: Mapping[str, Any], array: ArrayLike, text: str = "", path: str = "") -> tuple[Fault, ...]:
-    """Return the faults of a parsed file; ValueError as `read_faults`, with the line if `text` is given."""
+    """Return the faults of a parsed file; ValueError as `read_faults`, with the line if the file's `text` is given."""
     listed = tables.get("fault", [])
     if set(tables) - {"fault"} or not isinstance(listed, list) or not all(isinstance(table, dict) for table in listed):
         raise ValueError("faults: allowed are tables [[fault]] only")

@@ -23,7 +23,9 @@ TIME_OUT_NS = 30_000_000
 
 
 class FaultyMux(Pca9544aChip):
-    """A multiplexer that ignores a command or obeys another; with `reads_right` it reads back as written."""
+    """A multiplexer that sometimes ignores a command or carries out another one; with `reads_right` its control byte
+    reads back as written, although it had no effect.
+    """
 
     def __init__(
         self,
@@ -158,7 +160,9 @@ class FaultyBoard(Board):
     def router(
         self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
     ) -> Pca9544aChip:
-        """Return a multiplexer that carries out wrong commands, if there is such a fault; it replaces a mechanism's."""
+        """Return a multiplexer that carries out wrong commands, if there is such a fault; the multiplexer of a
+        mechanism is then not used.
+        """
         if not self._switching:
             return self._inner.router(chip, address, channels, powered_on_ns)
         named(chip, MUXES, "mux")

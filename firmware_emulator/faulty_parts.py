@@ -18,7 +18,9 @@ from imuarray.facts import bma180, l3g4200d
 
 @dataclass(frozen=True)
 class Times:
-    """Times of a fault: for `length_ns` from `begin_ns`, every `period_ns` (0: once), `count` times (0: endless)."""
+    """The times of a fault: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: once), `count` times
+    (0: without end).
+    """
 
     begin_ns: int
     length_ns: int
@@ -47,7 +49,9 @@ class Times:
 
 
 class ReadyLayout(NamedTuple):
-    """A chip's triad of `length` bytes (9 for axes of 20 bits), and the bits that mark it as new."""
+    """The location of a chip's triad of `length` bytes (9 for axes of 20 bits), and the bits, in a register or in bytes
+    of the triad, that mark it as new.
+    """
 
     first: int
     ready: int
@@ -161,7 +165,7 @@ class FaultyDevice(TargetProxy):
 
 
 def _unshadow(chip: Chip, at_ns: int) -> None:
-    """Set the bit that disables the shadow of the high byte: the bytes can belong to two readings (BMA-99)."""
+    """Disable the shadow of the high byte by its bit; the two bytes can then belong to two readings (BMA-99)."""
     control = chip.page[bma180.CTRL_REG0.address]
     chip.store(bma180.CTRL_REG0.address, control | bma180.EE_W.mask, at_ns)
     chip.store(bma180.GAIN_Y.address, chip.page[bma180.GAIN_Y.address] | bma180.SHADOW_DIS.mask, at_ns)

@@ -38,7 +38,7 @@ class Transfers(Protocol):
         """Carry out one transaction; OSError like that of the emulated wire."""
 
     def set_select(self, select: int, mode: int, clock_hz: int) -> None:
-        """Set mode and clock of a chip select; ValueError if unsupported. It is not called without SPI."""
+        """Set mode and clock of a chip select; ValueError if no controller supports them. Not called without SPI."""
 
 
 class Buses(Protocol):

@@ -66,7 +66,9 @@ class Receiver:
                 del self._frame[0]
 
     def _size(self) -> int:
-        """Return the length of the frame, or its smallest possible one; 0 if the bytes are not a frame."""
+        """Return the length of the frame, or its smallest possible length if it is not known yet; 0 if the bytes are
+        not a frame.
+        """
         have = self._frame
         if have[0] != FIRST or (len(have) > 1 and have[1] != SECOND):
             return 0
@@ -87,7 +89,9 @@ LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
 LISTS = 128
 REQUEST_BYTES = 1536
-"""Maximum memory for requests, in bytes: it fits, with other data, into the 2.5 KiB of the paper's."""
+"""Maximum memory for requests, in bytes: it fits, together with the other data, into the 2.5 KiB of the paper's
+microcontroller.
+"""
 
 
 COUNTED = 0x80
@@ -162,7 +166,9 @@ class Firmware:
         return b"".join(self._answer(command) for command in self._receiver.feed(data))
 
     def tick(self) -> list[bytes]:
-        """Begin the next frame if it is due; return the bytes to send. A frame late by a whole period is omitted."""
+        """Begin the next frame if it is due; return the bytes to send, one entry per list. A frame that would begin
+        late by a whole period or more is omitted.
+        """
         if self.due_ns is None or self.due_ns > self.clock.now_ns():
             return []
         late_ns = self.clock.now_ns() - self.due_ns
@@ -271,7 +277,9 @@ class Firmware:
 
 
 def requests_in(body: bytes, selects: int) -> list[FirmwareRequest] | None:
-    """Return the requests of a LIST; None if they do not fill it, or fit neither I2C nor SPI with these selects."""
+    """Return the requests of a LIST; None if one is incomplete, is for a chip select that does not exist (there are
+    `selects`), or takes its length from bytes that the request before it does not read.
+    """
     requests: list[FirmwareRequest] = []
     while body:
         if len(body) < 3 or body[0] >= FIRST_SELECT + selects:

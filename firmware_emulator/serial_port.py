@@ -10,7 +10,9 @@ from typing import Self
 from firmware_emulator.serial_firmware import Firmware
 
 ROOM = 4096
-"""Most bytes that wait, besides the terminal's buffer, while it is not read; a list that does not fit is dropped."""
+"""Maximum number of bytes that wait while the terminal is not read, in addition to the terminal's own buffer; a list
+that does not fit is dropped.
+"""
 CHUNK = 65536
 IDLE_S = 1.0
 

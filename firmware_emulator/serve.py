@@ -74,7 +74,9 @@ class TinyUsb:
         self.status, self.configuration = IDLE, 0
 
     def _standard(self, setup: Setup) -> bytes | None:
-        """Answer a standard request (USB 2.0, table 9-3): no feature can be set, as there are none."""
+        """Answer a standard request (USB 2.0, table 9-3): remote wake-up and halted endpoints do not exist, so no
+        feature can be set.
+        """
         match setup.request_type >> 7, setup.request:
             case 1, 0 | 10:  # GET_STATUS, GET_INTERFACE
                 return b"\0\0"
@@ -115,7 +117,7 @@ class TinyUsb:
         return bytes([self.status]) if setup.request == GET_STATUS else None
 
     def _message(self, setup: Setup, data: bytes) -> bytes | None:
-        """Transfer one I2C message. The host then reads the status; without an acknowledge, data are zeros."""
+        """Transfer one I2C message. The host reads the status afterwards; data are zeros without an acknowledge."""
         if setup.request & BEGIN:
             self._finish()
         self._start()

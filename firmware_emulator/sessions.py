@@ -131,7 +131,7 @@ class TableVibration:
 
 @dataclass(frozen=True)
 class Room:
-    """A room: temperature at the start, its drift, swings of `draught_degc` rms, and vibration of the table."""
+    """A room: temperature at the start, its drift, swings of `draught_degc` rms, and vibrations of the table."""
 
     degc: float = ROOM_DEGC
     drift_degc_per_s: float = 0.0
@@ -177,7 +177,9 @@ class Recorder:
 
 @dataclass(frozen=True)
 class Course:
-    """A world in which the box turns from pose to pose in `turn_s`, is heated and moved, in a room by the seed."""
+    """A world in which the box turns from pose to pose, in `turn_s` each, is heated and moved, in a room whose random
+    phases follow from the seed.
+    """
 
     poses: tuple[RestPose, ...]
     turn_s: float
@@ -193,7 +195,9 @@ class Course:
         return self.shaken(at_s, self.commanded(at_ns))
 
     def commanded(self, at_ns: int) -> WorldStimulus:
-        """Return the commanded motion of the bench at room temperaturewithout vibration: that of a reference."""
+        """Return the commanded motion and the temperature of the bench, without the vibration of the table: what a
+        reference instrument measures.
+        """
         at_s = max(at_ns, 0) * 1e-9
         stimulus = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
         for motion in self.motions:
@@ -310,7 +314,9 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:
 
 
 def turn_to(start: Triple, end: Triple) -> tuple[Triple, float]:
-    """Return unit axis and angle (rad) of the shortest turn from `start` to `end`; half a turn about any."""
+    """Return unit axis and angle (rad) of the shortest turn from `start` to `end`; half a turn is about any
+    perpendicular axis.
+    """
     axis = cross(end, start)
     sine = math.sqrt(sum(part * part for part in axis))
     cosine = sum(a * b for a, b in zip(start, end, strict=True))

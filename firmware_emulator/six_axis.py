@@ -15,7 +15,9 @@ ACCELEROMETER, GYROSCOPE = "accelerometer", "gyroscope"
 
 @dataclass
 class SampleGrid:
-    """Sample n = 1, 2, ... is at `start_ns` + n * `period_ns`; `index` is that of the latest, counted from 0."""
+    """The grid of the samples: sample n = 1, 2, ... is at `start_ns` + n * `period_ns`; `index` is the number of the
+    latest one, counted from 0.
+    """
 
     start_ns: int = NEVER_NS
     period_ns: int = 1_000_000
@@ -134,7 +136,9 @@ class Half(NamedTuple):
 
 
 class Die(NamedTuple):
-    """A six-axis chip: its class, and of both halves, accelerometer first, the first register and tolerances."""
+    """The properties of a six-axis chip: its class, and for both halves, accelerometer first, the first register of the
+    triad and the tolerances of the data sheet.
+    """
 
     build: Callable[..., SixAxis]
     first: tuple[Register, Register]

@@ -15,7 +15,9 @@ from firmware_emulator.wire import Wire
 
 READ = 0x80
 SELECT_NS, RELEASE_NS = 50, 150
-"""Time from the select to the first clock, and from the last clock to the next select: at least enough (DEC-110)."""
+"""Time from the select to the first clock, and from the last clock to the next select: the data sheets require less
+(DEC-110).
+"""
 OPEN_LINE = 0xFF
 """Byte that is read if no chip drives the line, which has a pull-up."""
 

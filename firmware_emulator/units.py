@@ -183,20 +183,24 @@ def nearest_orientation(by_box_axis: Matrix) -> Matrix:
 
 
 def noise_of(published: PublishedUnit) -> Triple:
-    """Return the noise before rounding, in the data sheet's unit; rounding adds step**2 / 12 to the variance."""
+    """Return the noise before the converter's rounding, in the data sheet's unit; rounding adds step**2 / 12 to the
+    variance.
+    """
     rounding = published.step**2 / 12
     x, y, z = (math.sqrt(rms**2 - rounding) / published.counts_per_unit for rms in published.noise)
     return x, y, z
 
 
 BMA180_NOISE_EXPONENT = math.log(17.05 / 9.53) / math.log(16 / 1.5)
-"""Exponent of noise over full scale, from the paper's six axes at 16 g and 1.5 g (Table 10); PAP-05: 2 g."""
+"""Exponent of the noise over the full scale, from the mean noise in mg of the paper's six axes at 16 g and at 1.5 g
+(Table 10); the data sheet states only that at 2 g (PAP-05).
+"""
 BMA180_SCALE: dict[float, float] = {1: 0.02, 1.5: 0.02, 2: 0.015, 3: 0.02, 4: 0.02, 8: 0.025, 16: 0.03}
 """Relative tolerance of the scale by range in g: BMA-70 ... BMA-76."""
 
 
 def bma180(range_g: float) -> Tolerances:
-    """Return the tolerances BMA-110 ... BMA-119 after soldering, with the shift of the 8 and 16 g ranges (BMA-79)."""
+    """Return the tolerances BMA-110 ... BMA-119 after soldering; the 8 and 16 g ranges shift the offset (BMA-79)."""
     return Tolerances(
         bias=(typical(0.060),) * 3,
         slope_per_degc=(typical(0.5e-3),) * 3,
@@ -219,7 +223,9 @@ L3G4200D_BIAS_DPS: dict[float, float] = {250: 10.0, 500: 15.0, 2000: 75.0}
 
 
 def l3g4200d(range_dps: float) -> Tolerances:
-    """Return the tolerances L3G-70 ... L3G-76; scale and alignment, not specified, are within 1 % and 1 degree."""
+    """Return the tolerances L3G-70 ... L3G-76; scale and alignment are not specified and are assumed to be within 1 %
+    and 1 degree.
+    """
     return Tolerances(
         bias=(typical(L3G4200D_BIAS_DPS.get(range_dps, 75.0)),) * 3,
         slope_per_degc=(typical(0.03 if range_dps <= 250 else 0.04),) * 3,
@@ -242,7 +248,9 @@ _HMC5883L = Tolerances(
     noise_exponent=math.log(2.8 / 2.1) / math.log(8.1 / 0.88),
     scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-0.003),
 )
-"""Tolerances HMC-52 ... HMC-57; noise without averaging: 2.1 mG in the smallest, 2.8 mG in the largest range."""
+"""Tolerances HMC-52 ... HMC-57; the noise without averaging is 2.1 mG in the smallest and 2.8 mG in the largest range
+(HMC-53).
+"""
 
 TOLERANCES: dict[str, Sheet] = {
     # ADX-60 ... ADX-70, noise at 100 Hz; the same in every range
@@ -366,7 +374,9 @@ def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviat
 
 
 def paper_unit(name: str, seed: int) -> UnitDeviations:
-    """Return a unit of the paper's array. What its tables lack (a gyroscope's scale and alignment) is drawn."""
+    """Return a unit of the paper's array. Properties that are not in its tables (a gyroscope's scale and alignment) are
+    drawn.
+    """
     published = TABLES[name]
     drawn_part = drawn_unit(published.chip, name, published.range, seed)
     x, y, z = (count / published.counts_per_unit for count in published.slope)
@@ -388,13 +398,17 @@ def paper_unit(name: str, seed: int) -> UnitDeviations:
 
 
 def with_low_range_bias(unit: UnitDeviations, low_range_bias: Triple) -> UnitDeviations:
-    """Return the unit with `low_range_bias` at low ranges and the same at high ones: the paper has only the sum."""
+    """Return the unit with `low_range_bias` at low ranges and the same bias as before at high ones, because the paper
+    states only the sum of bias and shift.
+    """
     x, y, z = (bias - low for bias, low in zip(unit.bias, low_range_bias, strict=True))
     return replace(unit, bias=low_range_bias, shift=(x, y, z))
 
 
 def unit_of(array: str, name: str, chip: str, full_scale: float, seed: int = 0) -> UnitDeviations:
-    """Return the unit `name` in an array of that name; one of the paper only if chip and range are the paper's."""
+    """Return the unit called `name` in an array of that name; it is a unit of the paper only if chip and range are also
+    those of the paper.
+    """
     published = TABLES.get(name) if array == PAPER_ARRAY else None
     if published is not None and (published.chip, published.range) == (chip, float(full_scale)):
         return paper_unit(name, seed)

@@ -64,7 +64,9 @@ class UsbDevice(Protocol):
     identity: UsbIdentity
 
     def control(self, setup: Setup, data: bytes) -> bytes | None:
-        """Carry out a control transfer with `data` to the device; return the bytes to the host, or None to stall."""
+        """Carry out one control transfer: `data` goes to the device, the returned bytes go to the host; None stalls the
+        transfer.
+        """
 
     def reset(self) -> None:
         """Note that the client has disconnected, perhaps in the middle of a frame."""

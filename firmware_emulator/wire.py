@@ -41,7 +41,7 @@ STANDARD_MODE_MAX_HZ = 100_000
 
 Responders = dict[int, tuple[Target, ...]]
 Interference = Callable[["Wire", Sequence[Target]], None]
-"""Function called at every START, with the wire and the addressed devices; it may raise OSError or take time."""
+"""Function called at every START with the wire and the addressed devices; may raise OSError or advance the time."""
 
 
 class Wire:
@@ -128,7 +128,7 @@ class Wire:
         return received
 
     def send(self, address: int, data: bytes) -> None:
-        """Send a writing message: (repeated) START, address, `data`. OSError, after a STOP, if not acknowledged."""
+        """Send a writing message: (repeated) START, address, `data`. OSError, after a STOP, if it is unacknowledged."""
         self._interfere(address)
         self._send(address, data)
 
@@ -158,7 +158,9 @@ class Wire:
         return bytes([reduce(and_, column) for column in zip(*answers, strict=True)])
 
     def stop(self) -> None:
-        """Send a STOP: every addressed device receives it; a multiplexer switches. No effect on a free bus."""
+        """Send a STOP: every addressed device receives it; an addressed multiplexer switches. No
+        effect on a free bus.
+        """
         if not self._open:
             return
         self._open = False

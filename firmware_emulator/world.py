@@ -50,7 +50,7 @@ def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) ->
 
 
 def turn_between(up_before: str, up_after: str) -> tuple[Triple, float]:
-    """Return axis in the box and angle (rad) of the shortest turn that brings `up_after` up; half about X or Y."""
+    """Return axis (box) and angle (rad) of the shortest turn that brings `up_after` up; half a turn is about X or Y."""
     start, end = UP[up_before], UP[up_after]
     axis = cross(end, start)
     if any(axis):
@@ -77,7 +77,7 @@ class WorldStimulus(NamedTuple):
 
 
 class WorldPhase(NamedTuple):
-    """A named stretch of time that the experimenter notes; `up` is the box axis that points up ("+Z"), "" if none."""
+    """A stretch of time that the experimenter notes by name; `up` is the box axis that points up ("+Z"), or ""."""
 
     start_ns: int
     end_ns: int
@@ -219,7 +219,7 @@ class TumbleWorld:
 
 
 class ProfileStretch(NamedTuple):
-    """A part of a temperature profile: phase, minutes, final temperature in degC, time constant in minutes."""
+    """A part of a temperature profile: name of its phase, minutes, final temperature in degC, time constant in min."""
 
     name: str
     minutes: float
@@ -245,7 +245,9 @@ PROFILE = (
     heating_to(52.0, WARM_DEGC, 5.0, HEATING_MIN),
     ProfileStretch("cool", 90.0, 25.0, COOLING_MIN),
 )
-"""Temperature profile of the paper's section 5.2.5, ending slightly warmer; our time constants."""
+"""Temperature profile with the times and peaks of the paper's section 5.2.5, which ends slightly warmer than it begins.
+The time constants are our assumption.
+"""
 
 
 @dataclass(frozen=True)

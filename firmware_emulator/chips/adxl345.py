@@ -22,7 +22,9 @@ SLOTS = 32
 MOST_SETS = SLOTS + 1  # one more set is held in the data registers (ADX-51, DEC-24)
 OFFSET_STEP_G = 1 / 64  # 15.6 mg (ADX-12)
 SELF_TEST_G: Triple = (1.15, -1.15, 1.85)
-"""Change of the output by the self-test in g: the middle of the limits at 2.5 V, within those at 3.3 V (ADX-58)."""
+"""Change of the output by the self-test in g: the middle of the limits at 2.5 V, which is also within those at 3.3 V
+(ADX-58).
+"""
 QUIET_BANDWIDTH_HZ = 50.0  # noise does not fall below that of 100 Hz ODR (ADX-68)
 LOW_POWER_BANDWIDTH_HZ = 288.0  # (1.8 / 0.75)**2 times 50 Hz: the noise of low-power mode (ADX-67, ADX-69)
 EVEN_ONLY_RATES = (0xE, 0xF)  # ADX-47
@@ -89,7 +91,9 @@ class Adxl345Chip(Chip):
         self._configure(at_ns)
 
     def event(self, pin: int, at_ns: int) -> None:
-        """Note an edge on INT1 (`pin` 0) or INT2 (1); in trigger mode, one freezes the history (ADX-53)."""
+        """Note an edge on INT1 (`pin` 0) or INT2 (1): in trigger mode, an edge on the selected pin freezes the history
+        (ADX-53).
+        """
         self._convert(at_ns)
         control = self.page[facts.FIFO_CTL.address]
         if self._mode == TRIGGER and pin == facts.TRIGGER.of(control) and not self._triggered:

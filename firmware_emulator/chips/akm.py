@@ -100,7 +100,7 @@ class Ak8963Chip(AkmChip):
         self._reading = False
 
     def _sync(self, at_ns: int) -> None:
-        """Write every measurement ended by `at_ns` into the data registers, unless a read is in progress (AKM-12)."""
+        """Write each measurement that ended by `at_ns` to the data registers, unless a read is in progress (AKM-12)."""
         if self._reading:
             return
         if at_ns >= self._once_ns:

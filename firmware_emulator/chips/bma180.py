@@ -58,7 +58,9 @@ SELF_TEST_NS = 8_000_000  # less than 10 ms, BMA-104
 SELF_TEST_G = 700 / 4096  # typical response, 700 codes at 2 g (BMA-104)
 
 IN_TURN_NS = 500_000
-"""Quarter in ns from which the element is evaluated for every axis: five times one of an accurate oscillator."""
+"""Length of a quarter of the cycle in ns above which the element is evaluated at the time of each axis, not once for
+all: five times the quarter of an accurate oscillator.
+"""
 
 _BURST = Struct("<hhh")
 Codes = tuple[int, int, int]
@@ -242,7 +244,7 @@ class Converter:
         return self._temperature
 
     def burst(self, at_ns: int, byte_ns: int) -> bytes:
-        """Return six bytes, x low to z high, shadowed: those of `low_byte` and `high_byte` in turn, faster."""
+        """Return six bytes, x low to z high, shadowed: a faster way to the results of `low_byte` and `high_byte`."""
         period = self._period_ns
         after_x, after_y, after_z = self._ready_after_ns
         begun_ns = at_ns - self._start_ns
@@ -359,7 +361,7 @@ class Bma180Chip(Chip):
             self._leave(left_over, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Set the reset values and the image of the EEPROM; begin the download (BMA-52, BMA-57)."""
+        """Set registers to their reset values, the image to that of the EEPROM; begin the download (BMA-52, BMA-57)."""
         super().power_on(at_ns)
         self.address = self._strapped
         self.page[facts.VERSION.address] = VERSION
@@ -408,7 +410,9 @@ class Bma180Chip(Chip):
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Return `count` bytes from the pointer on; faster for a shadowed burst from acc_x_lsb."""
+        """Return `count` bytes from the pointer on; a faster path returns the same bytes for a shadowed burst from
+        acc_x_lsb.
+        """
         self._pending = None
         if at_ns >= self._next_ns:
             self._catch_up(at_ns)
@@ -460,7 +464,9 @@ class Bma180Chip(Chip):
         return len(data)
 
     def stop(self, at_ns: int) -> None:
-        """End the transaction: a write to the EEPROM's window acts without data (BMA-55), unless a read follows."""
+        """End the transaction: a write of an even address of the EEPROM's window without data copies two bytes into the
+        EEPROM (BMA-55), unless a read follows.
+        """
         if self._pending is not None and self._pending in WINDOW and self._pending % 2 == 0:
             self._burn(self._pending, at_ns)
         self._pending = None
@@ -491,7 +497,9 @@ class Bma180Chip(Chip):
             super().store(address, value, at_ns)  # ctrl_reg1 is one-shot (BMA-22) and reads 0
 
     def _control(self, value: int, at_ns: int) -> None:
-        """Carry out ctrl_reg0 (BMA-21): update_image and st0 stay set for a time, reset_int clears itself at once."""
+        """Carry out ctrl_reg0 (BMA-21): update_image and st0 stay set until they clear themselves, reset_int clears
+        itself immediately.
+        """
         previous = self.page[_CONTROL]
         self.page[_CONTROL] = value & ~(facts.CTRL_REG0.reserved | facts.RESET_INT.mask) & 0xFF
         self.page[_CONTROL] |= previous & facts.UPDATE_IMAGE.mask
@@ -514,7 +522,9 @@ class Bma180Chip(Chip):
         self._begin(at_ns)
 
     def _burn(self, address: int, at_ns: int) -> None:
-        """Copy two bytes of the image into the EEPROM if the address is even and it is not busy; count every write."""
+        """Copy two bytes of the image into the EEPROM if the address is even and the EEPROM is not busy; always count
+        the write.
+        """
         self.eeprom_writes += 1
         if address not in WINDOW or address % 2 or self._burn_end_ns != NEVER_NS or self._download_end_ns != NEVER_NS:
             return

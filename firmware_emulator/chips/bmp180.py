@@ -95,7 +95,7 @@ class Bmp180Chip(BoschBarometer):
     byte_order: ClassVar[Literal["little", "big"]] = "big"
 
     def __init__(self, *arguments: Any, start_up_ns: int = START_UP_NS, **switches: Any) -> None:
-        """The arguments are those of `BoschBarometer`, and the time after a reset in which commands are lost."""
+        """Take the arguments of `BoschBarometer`, and the time after power-on or reset in which commands are lost."""
         self.start_up_ns = start_up_ns
         super().__init__(*arguments, **switches)
 

@@ -92,7 +92,7 @@ class Bmp280Chip(CyclicBarometer):
 
     @property
     def duration_ns(self) -> int:
-        """Return the time of a measurement: 1 ms, 2 ms for each sample, 0.5 ms for the pressure (BMP-109)."""
+        """Return the time of a measurement: 1 ms, plus 2 ms per sample, plus 0.5 ms if it has pressure (BMP-109)."""
         control = self.page[_CONTROL]
         pressure = OVERSAMPLING[facts.PRESSURE_OVERSAMPLING.of(control)]
         samples = OVERSAMPLING[facts.TEMPERATURE_OVERSAMPLING.of(control)] + pressure
@@ -120,7 +120,9 @@ class Bmp280Chip(CyclicBarometer):
         self.page[_DATA : _DATA + len(data)] = data
 
     def _rounded(self, value: float, code: int) -> int:
-        """Return a rounded word: 16 bits, one more per doubling of samples; filtered, 20 (BMP-106, BMP-110)."""
+        """Return a word rounded to its resolution: 16 bits and one more for each doubling of samples; with the filter
+        always 20 bits (BMP-106, BMP-110).
+        """
         if not code:
             return SKIPPED
         unused_bits = BITS - 16 - (min(code, 5) - 1) if self.filter_divisor == 1 else 0

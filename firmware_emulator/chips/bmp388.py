@@ -96,7 +96,9 @@ class Bmp388Chip(CyclicBarometer):
 
     @property
     def duration_ns(self) -> int:
-        """Return the time: 234 us, 392 us and 2020 us per sample of pressure, 163 and 2020 of temperature (BMP-209)."""
+        """Return the time of a measurement: 234 us, plus 392 us and 2020 us per sample for the pressure, plus 163 us
+        and 2020 us per sample for the temperature (BMP-209).
+        """
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         pressure = 392_000 + (2_020_000 << facts.PRESSURE_OVERSAMPLING.of(oversampling))
         temperature = 163_000 + (2_020_000 << facts.TEMPERATURE_OVERSAMPLING.of(oversampling))
@@ -113,7 +115,9 @@ class Bmp388Chip(CyclicBarometer):
         return 1 << facts.FILTER.of(self.page[_CONFIG])
 
     def show(self, at_ns: int) -> None:
-        """Write pressure, then temperature, 24 bits each, into the data registers, and set flags (BMP-205, BMP-211)."""
+        """Write pressure and then temperature into the data registers, 24 bits each, and set a flag for each (BMP-205,
+        BMP-211).
+        """
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(oversampling), facts.PRESSURE_OVERSAMPLING.of(oversampling)
         enabled = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)
@@ -128,7 +132,7 @@ class Bmp388Chip(CyclicBarometer):
         self.page[_STATUS] |= facts.TEMPERATURE_READY.mask * enabled[0] | facts.PRESSURE_READY.mask * enabled[1]
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte; reading a result clears its flag, reading the error clears it (BMP-205)."""
+        """Return a register's byte; reading a result clears its flag, reading the error register sets 0 (BMP-205)."""
         self.sync(at_ns)
         byte = self.page[address]
         if _DATA <= address < _DATA + 3:

@@ -136,7 +136,9 @@ class CyclicBarometer(BoschBarometer):
 
 
 def nearest(function: Callable[[int], float], low: int, high: int, target: float) -> int:
-    """Return the argument in low ... high at which a rising function is closest to `target`; ties: the lower."""
+    """Return the argument in low ... high at which a rising function is closest to `target`; the lower one of two
+    equally close ones.
+    """
     bottom, top = low, high
     while bottom < top:
         middle = bottom + top >> 1

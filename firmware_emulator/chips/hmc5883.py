@@ -73,7 +73,7 @@ def word(code: int) -> int:
 
 
 class Hmc5883Chip(Chip):
-    """An HMC5883 or HMC5883L, by `variant`; after register `wrap`, 8 or 9, the pointer returns to 3 (DEC-30)."""
+    """An HMC5883 or HMC5883L, by `variant`; after a read of register `wrap` (8 or 9) the pointer is 3 (DEC-30)."""
 
     table: ClassVar[ModuleType] = facts
 
@@ -87,7 +87,7 @@ class Hmc5883Chip(Chip):
         super().__init__(address, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Start up: the reset value of the mode register requests a measurement when it is ready (HMC-12, HMC-51)."""
+        """Start up: the reset value of the mode requests one measurement when the part is ready (HMC-12, HMC-51)."""
         super().power_on(at_ns)
         self._gain = self._selected_gain()
         self._read = 0
@@ -95,7 +95,9 @@ class Hmc5883Chip(Chip):
         self._begin(at_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register: reads increment it, from the data to 3, from the identity to 0 (HMC-05, DEC-30)."""
+        """Return the next register. Writes do not move the pointer; reads increment it, and return it from register
+        `wrap` to 3, and from the identity to 0 (HMC-05, DEC-30).
+        """
         if not reading:
             return pointer
         if pointer >= facts.IDENTITY_C.address:
@@ -103,7 +105,9 @@ class Hmc5883Chip(Chip):
         return DATA.start if pointer == self.wrap else pointer + 1
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read byte by byte, except for all six data bytes, read in one step: the first locks the others (HMC-33)."""
+        """Read byte by byte, except for all six data bytes, which are read in one step: the first locks the others
+        (HMC-33).
+        """
         if count != len(DATA) or self.pointer != DATA.start:
             return super().read(count, at_ns, byte_ns)
         self._convert(at_ns)
@@ -112,7 +116,9 @@ class Hmc5883Chip(Chip):
         return bytes(self.page[DATA.start : DATA.stop])
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a byte; data, and the HMC5883L's mode, lock the output until all six are read (HMC-33, HMC-34)."""
+        """Return a byte: data bytes lock the output until all six are read; on the HMC5883L, reading the mode also
+        locks it (HMC-33, HMC-34).
+        """
         self._convert(at_ns)
         if address in DATA:
             self._note_read(address)
@@ -123,7 +129,9 @@ class Hmc5883Chip(Chip):
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """Write a register, which restarts the measurement; A and the mode also unlock the output (HMC-34, HMC-37)."""
+        """Write a register: the mode restarts the measurement, registers A and B do so in continuous operation;
+        register A and the mode also unlock the output (HMC-34, HMC-37).
+        """
         self._convert(at_ns)
         super().store(address, value, at_ns)
         if address in (facts.CONFIG_A.address, facts.MODE.address):

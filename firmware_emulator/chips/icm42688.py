@@ -46,7 +46,9 @@ _DATA = range(facts.TEMP_DATA1.address, facts.GYRO_DATA_Z0.address + 1)
 
 @dataclass
 class _Half:
-    """One half: the fields of its mode and rate, the registers of its triad, and when its readings become valid."""
+    """One half: the fields of its mode and rate, the registers of its triad, and the time from which on its readings
+    are valid.
+    """
 
     mode: Field
     rate: Field
@@ -61,7 +63,9 @@ class _Half:
 
 
 class Icm42688Chip(SixAxis):
-    """The registers of three banks; `trim_code` of the factory, `clock_input_hz` at pin 9 (0: no clock)."""
+    """The registers of three banks. `trim_code` is the factory's self-test code, `clock_input_hz` the frequency at pin
+    9 (0: no clock is connected).
+    """
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
@@ -169,7 +173,7 @@ class Icm42688Chip(SixAxis):
         return control & 0b11 == 0b11 and bool(facts.FIFO_HIGH_RESOLUTION.of(control))
 
     def _stamp_ns(self, at_ns: int) -> int:
-        """Return the time of stamps: since the last pulse if FSYNC is on (TDK-90, DEC-66), otherwise since power-on."""
+        """Return the time for stamps: since the last pulse with FSYNC on (TDK-90, DEC-66), otherwise since power-on."""
         pulse_ns = self.latest_pulse_ns(at_ns) if self._has_pulse_input else None
         if pulse_ns is None or not facts.TIMESTAMP_FSYNC.of(self.page[facts.TMST_CONFIG.address]):
             return at_ns - self.powered_on_ns
@@ -222,7 +226,9 @@ class Icm42688Chip(SixAxis):
         return packet[:count] + bytes([EMPTY]) * (count - len(packet))
 
     def stop(self, at_ns: int) -> None:
-        """End the transaction: a partly read packet is read again, unless partial reads are enabled (TDK-86)."""
+        """End the transaction: a partly read packet will be read again from its beginning, unless partial reads are
+        enabled (TDK-86).
+        """
         if self._part and not facts.FIFO_RESUME.of(self._packet_control):
             self._packets.appendleft(self._whole)
             self._part = b""
@@ -281,14 +287,18 @@ class Icm42688Chip(SixAxis):
         return self._codes(rate, CODES_PER_DPS[code], code, pushed)
 
     def _codes(self, sample: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
-        """Return three codes; bit 0 of `pushed` deflects x (TDK-41) by the factory's change in this range (TDK-40)."""
+        """Return three codes; bit 0 of `pushed` deflects x (TDK-41), by the change that was measured at the factory for
+        this range (TDK-40).
+        """
         push = self._push(range_code)
         return [
             clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(sample)
         ]
 
     def _push(self, range_code: int) -> float:
-        """Return the factory's change by the self-test, in counts of this range; 0 if none is stored."""
+        """Return the change by the self-test that was measured at the factory, in counts of this range; 0 if none is
+        stored.
+        """
         return 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
 
     def _convert_finely(self, half: _Half, sample: Triple, scale: float, pushed: int) -> None:
@@ -325,7 +335,9 @@ class Icm42688Chip(SixAxis):
         return self.page[address]
 
     def _count_byte(self, first: bool) -> int:
-        """Return a byte of the count of bytes or records; the first latches both; 0 once after a flush (TDK-84)."""
+        """Return a byte of the count of bytes or records; reading the first one latches both. The count is 0 once after
+        a flush (TDK-84).
+        """
         control = self.page[facts.INTF_CONFIG0.address]
         if first:
             records = facts.FIFO_COUNT_RECORDS.of(control)
@@ -361,7 +373,7 @@ class Icm42688Chip(SixAxis):
                 self._restart(half, at_ns)
 
     def _hold_timestamp(self, at_ns: int) -> None:
-        """Write the time since power-on in 20 bits, low byte first, into its registers, if enabled (TDK-91)."""
+        """Write the time since power-on (20 bits, low byte first), or 0 if disabled, into its registers (TDK-91)."""
         control = self.page[facts.TMST_CONFIG.address]
         is_read = facts.TIMESTAMP_ON.of(control) and facts.TIMESTAMP_TO_REGISTERS.of(control)
         unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(control) else 1_000
@@ -370,7 +382,9 @@ class Icm42688Chip(SixAxis):
         self.banks[1][first : first + 3] = count.to_bytes(3, "little")
 
     def _restart(self, half: _Half, at_ns: int) -> None:
-        """Restart the grid if the rate changed or the half was switched on (DEC-61); a half that is off has none."""
+        """Restart the grid if the rate changed or the half was switched on (DEC-61); a half that is off has invalid
+        readings.
+        """
         rate_hz = RATES_HZ.get(half.rate.of(self.page[half.rate.register.address]), 1000.0)
         mode = half.mode.of(self.page[facts.PWR_MGMT0.address])
         is_on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11

@@ -378,7 +378,9 @@ class L3g4200dChip(Chip):
         return self.page[address]
 
     def _output(self, byte: int, at_ns: int) -> int:
-        """Return byte 0 ... 5 of the output registers: low bytes first, with BLE high bytes (L3G-44)."""
+        """Return byte 0 ... 5 of the output registers: for each axis the low byte first, or with BLE the high byte
+        (L3G-44).
+        """
         latest = self._sync(at_ns)
         axis, half = divmod(byte, 2)
         big = self.page[_CTRL4] & facts.BIG_ENDIAN.mask
@@ -396,7 +398,9 @@ class L3g4200dChip(Chip):
         return code >> shift & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register if sub-address bit 7 requested it (L3G-03, L3G-04); a FIFO's wrap (L3G-05)."""
+        """Return the next register if sub-address bit 7 requested it (L3G-03, L3G-04), otherwise the same; with a FIFO
+        the data registers wrap from z to x (L3G-05).
+        """
         if not self._increment:
             return pointer
         if reading and pointer == _Z_HIGH and (self._fifo.active or self._wrap_always):

@@ -51,7 +51,7 @@ class Lis3mdlChip(Chip):
     # Sampling ---------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """Write the latest sample into the data registers; the status shows overwritten earlier ones."""
+        """Write the latest sample into the data registers; the status shows whether it replaced an unread sample."""
         previous = self._grid.index
         sampled_ns = self._grid.take(at_ns)
         if sampled_ns is None:
@@ -99,14 +99,18 @@ class Lis3mdlChip(Chip):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Write: the sub-address, whose bit 7 requests the next register after each byte, then values (LIS-03)."""
+        """Write: the first byte is the sub-address, whose bit 7 requests the next register after each byte; the values
+        follow (LIS-03).
+        """
         if data:
             self._increment = data[0] >= 0x80
             data = bytes((data[0] & 0x7F,)) + data[1:]
         return super().write(data, at_ns, byte_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register if bit 7 requested it (LIS-03); data wrap from z to x (LIS-18, DEC-104)."""
+        """Return the next register if sub-address bit 7 requested it (LIS-03); the data registers wrap from z to x
+        (LIS-18, DEC-104).
+        """
         if not self._increment:
             return pointer
         return _FIRST if reading and pointer == _LAST else pointer + 1 & 0x7F

@@ -117,7 +117,7 @@ class Lsm6dsoChip(SixAxis):
         return int((at_ns - self._timestamp_from_ns) * self._oscillator / TIMESTAMP_NS) & 0xFFFFFFFF
 
     def _enqueue_timestamp(self, at_ns: int) -> None:
-        """Append a time stamp before the samples of every, every eighth or every 32nd instant (LSM-48, DEC-74)."""
+        """Append a time stamp before the samples of every instant, every eighth or every 32nd (LSM-48, DEC-74)."""
         interval = SLOTS_PER_TIMESTAMP[facts.TIMESTAMP_BATCH.of(self.page[facts.FIFO_CTRL4.address])]
         if not interval or not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]) or at_ns == self._slot_ns:
             return
@@ -149,7 +149,9 @@ class Lsm6dsoChip(SixAxis):
         self._slot_ns, self._slots = -1, 0
 
     def _status(self) -> int:
-        """Return the second byte of the queue's status: overrun, full, level above 255; clear the latch (LSM-44)."""
+        """Return the second byte of the queue's status (overrun, full, level above 255), and clear the latched overrun
+        (LSM-44).
+        """
         level = len(self._words)
         latched, self._lost_latched = self._lost_latched, False
         full = facts.FIFO_FULL.mask if level >= FIFO_WORDS else 0
@@ -213,7 +215,9 @@ class Lsm6dsoChip(SixAxis):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a byte at the instant of its fetch; with BDU both bytes of a number belong to one sample (LSM-13)."""
+        """Return a byte with its value at the instant at which it is fetched; with BDU the two bytes of a number belong
+        to one sample (LSM-13).
+        """
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
@@ -244,7 +248,9 @@ class Lsm6dsoChip(SixAxis):
         self.page[facts.STATUS_REG.address] &= ~mask & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register with IF_INC, otherwise the same (LSM-12). After a word comes the tag (LSM-45)."""
+        """Return the next register with IF_INC, otherwise the same (LSM-12). The end of a word leads back to its tag
+        (LSM-45).
+        """
         if pointer == FIFO_OUT[-1] and facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]):
             return FIFO_OUT.start
         return (

@@ -23,20 +23,22 @@ ACCEL_FILTERS = (
     *((260.0, 0.0), (184.0, 0.002), (94.0, 0.003), (44.0, 0.0049), (21.0, 0.0085), (10.0, 0.0138), (5.0, 0.019)),
     (260.0, 0.0),
 )
-"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-12, DEC-252. A filter changes noise, and delays motion."""
+"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-12, DEC-252. A filter reduces noise, but only delays motion."""
 GYRO_FILTERS = (
     *((256.0, 0.00098), (188.0, 0.0019), (98.0, 0.0028), (42.0, 0.0048), (20.0, 0.0083), (10.0, 0.0134), (5.0, 0.0186)),
     (256.0, 0.00098),
 )
 CLOCK_INPUTS_HZ = {4: 32_000.0, 5: 19_200_000.0}
-"""The frequency at CLKIN, by CLKSEL, where 1 kHz is exact; with 32.768 kHz it is 1.024 kHz (INV-37)."""
+"""Frequency at CLKIN, by CLKSEL, with which the nominal 1 kHz is exact; with 32.768 kHz it is 1.024 kHz (INV-37)."""
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
 TRIM_CODE = 17
 """Trim code of every axis by default: the middle of the range of codes (DEC-253)."""
 
 
 class Mpu6050Chip(MpuFamily):
-    """The registers and the queue; `identity` 0x98: a clone (INV-03), `clock_input_hz` at CLKIN (0: none)."""
+    """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03), `clock_input_hz` the
+    frequency at CLKIN (0: no clock is connected).
+    """
 
     table: ClassVar[ModuleType] = facts
     who_am_i: ClassVar[Register | None] = facts.WHO_AM_I
@@ -89,7 +91,7 @@ class Mpu6050Chip(MpuFamily):
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Read a burst, whose bytes belong to one instant: the registers do not change until STOP (INV-30)."""
+        """Read a burst. Its bytes belong to one instant: the data registers do not change until STOP (INV-30)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         data = bytes(self.page[DATA.start : DATA.stop])

@@ -23,7 +23,7 @@ GYRO_FILTERS = (
     *((250.0, 0.00097), (184.0, 0.0029), (92.0, 0.0039), (41.0, 0.0059), (20.0, 0.0099), (10.0, 0.01785)),
     *((5.0, 0.03348), (3600.0, 0.00017)),
 )
-"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-73, INV-79. A filter changes noise, and delays motion."""
+"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-73, INV-79. A filter reduces noise, but only delays motion."""
 ACCEL_FILTERS = (
     *((460.0, 0.00194), (184.0, 0.0058), (92.0, 0.0078), (41.0, 0.0118), (20.0, 0.0198), (10.0, 0.0357)),
     *((5.0, 0.06696), (460.0, 0.00194)),

@@ -90,7 +90,9 @@ def _read_device(device: Target, command: bytes, count: int, at_ns: int) -> byte
 
 
 def swapped(data: bytes, first_is_alone: int) -> bytes:
-    """Return the bytes with each pair swapped, except for a first byte that is alone and an incomplete last pair."""
+    """Return the bytes with each pair swapped. With `first_is_alone`, the first byte stays, as does a last byte without
+    a partner.
+    """
     turned = bytearray(data)
     for index in range(first_is_alone, len(data) - 1, 2):
         turned[index], turned[index + 1] = turned[index + 1], turned[index]
@@ -114,7 +116,9 @@ PULSE_MARKS = (None, 0x42, 0x44, 0x46, 0x48, 0x3C, 0x3E, 0x40)
 ON, RESET = 0x40, 0x04
 MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
-"""Most past samples for which transfers on the auxiliary bus are carried out, in multiples of the delay."""
+"""Limit of the number of past samples for which transfers on the auxiliary bus are carried out, in multiples of the
+delay in samples.
+"""
 
 
 def _codes(sample: Triple, scale: float, push: Triple, ratio: float, pushed: int) -> list[int]:

@@ -228,7 +228,9 @@ class SlowOscillator(SensorMechanism):
 
 
 def without_bit(code: int, which: int) -> int:
-    """Return `code` without set bit number `which` from the lowest, or without its highest if it has fewer."""
+    """Return `code` without its set bit number `which`, counted from the lowest; if it has fewer set bits, without the
+    highest one.
+    """
     bits = [bit for bit in range(code.bit_length()) if code >> bit & 1]
     return code & ~(1 << bits[min(which, len(bits) - 1)]) if bits else code
 

@@ -113,7 +113,9 @@ def plain_part(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviat
 
 
 def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> UnitDeviations:
-    """Return a part drawn in all properties with a tolerance in its data sheet; its bias scatters between power-ups."""
+    """Return a part drawn in all properties that its data sheet specifies by a tolerance; its bias scatters between
+    power-ups.
+    """
     unit, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
     limits = [tolerance.limit for tolerance in tolerances_of(chip, full_scale).bias]
     scattered = [

@@ -35,7 +35,7 @@ class PackageTilt(SensorMechanism):
 
 
 class Rotation:
-    """A function that returns the stimulus rotated about `axis`; at rest it always returns the same object."""
+    """A function that returns the stimulus after a rotation about `axis`: the same object for the same stimulus."""
 
     def __init__(self, axis: tuple[float, float, float], cosine: float, sine: float) -> None:
         self._turn = axis, cosine, sine

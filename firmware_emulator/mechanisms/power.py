@@ -49,7 +49,9 @@ class SupplyDrift(Mechanism):
             site.chain.sensed.append(answer(volts, (x, y, z), site.by_unit(self.per_v_g, self.per_v_dps)))
 
     def volts(self, random: np.random.Generator) -> Callable[[int], float]:
-        """Return the supply's deviation at any time from 0 on, linear between grid points, in any order of times."""
+        """Return a function of time in ns, from 0 on: the deviation of the supply in V, linear between grid points. It
+        may be called with times in any order.
+        """
         correlation = math.exp(-GRID_S / self.drift_s)
         grid = [float(random.normal(0.0, self.drift_v))]
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, ...]:
-    """Return the mechanisms of `mechanism`, `severity` and `sensor`; ValueError for an impossible value."""
+    """Return the mechanisms of the parameters `mechanism`, `severity` and `sensor`; ValueError if one is impossible."""
     names = split(query.get("mechanism", ""), ",")
     severities = split(query.get("severity", ""), ",") or ["1"] * len(names)
     groups = split(query.get("sensor", ""), ",") or [""] * len(names)
@@ -34,7 +34,9 @@ def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, 
 
 
 def fitting_of(array: ArrayLike, name: str, severity: float, sensors: tuple[str, ...] = ()) -> Fitting:
-    """Return one mechanism on these sensors, or on all it can act on; ValueError for an impossible argument."""
+    """Return one mechanism on these sensors, or on all on which it can act; ValueError for an impossible name, severity
+    or sensor.
+    """
     if not severity > 0:
         raise ValueError(f"severity={severity}; allowed is anything above 0")
     mechanism = named(name, MECHANISMS, "mechanism").at(severity)

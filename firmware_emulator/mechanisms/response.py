@@ -159,7 +159,9 @@ NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
 """Equivalent noise bandwidth of a second-order Butterworth filter divided by its cut-off: 1.11."""
 Step = tuple[float, float, float, float]
 FAR_S = 0.2
-"""Longest interval of polling in s; a longer one is the set-up of a chip, after which changes are instantaneous."""
+"""Longest interval between evaluations in normal polling, in s. A longer one contains the set-up of a chip; changes are
+then assumed to be instantaneous.
+"""
 
 
 @dataclass(frozen=True)
@@ -254,7 +256,9 @@ class OutputFilter(SensorMechanism):
         return noise
 
     def innovation(self, seconds: float) -> Triple:
-        """Return the Cholesky factor (11, 21, 22) of the covariance P - F P F^T, P = diag(1, 2 a^2), of (x, x')."""
+        """Return the Cholesky factor (11, 21, 22) of the covariance that noise adds to (x, x') in `seconds`: it is P -
+        F P F^T with P = diag(1, 2 a^2).
+        """
         a, b, c, d = self.step(seconds)
         power = 2 * self.decay**2
         xx = max(0.0, 1 - a * a - b * b * power)

@@ -207,7 +207,7 @@ ACCELEROMETERS = ("adxl345", "bma180")
 GYROSCOPES = ("l3g4200d",)
 INERTIAL = ACCELEROMETERS + GYROSCOPES
 WHILE_SET_UP_S = 5.0
-"""Time after power-on in s at which faults of the wiring begin, so that chips are set up and the log starts."""
+"""Time after power-on in s at which faults of the wiring begin; by then chips are set up and the log has started."""
 
 
 @dataclass
@@ -248,13 +248,17 @@ class Site:
         return stream(self.seed, f"{key} in {self.name}, run {self.run}")
 
     def direction(self, key: str) -> Triple:
-        """Return the relative effect on each axis of this part: a random direction of length sqrt(3), so rms 1."""
+        """Return the relative effect on each axis of this part: a random direction of length sqrt(3), so that the rms
+        over the axes is 1.
+        """
         vector = self.unit_random(f"direction of {key}").standard_normal(3)
         x, y, z = (vector * (math.sqrt(3) / float(np.linalg.norm(vector)))).tolist()
         return x, y, z
 
     def add(self, key: str, g: float, dps: float, course: Callable[[int, WorldStimulus], float]) -> None:
-        """Add `g` or `dps` times the `course` at the instant, along the direction of `key`, to the signal."""
+        """Add an error to the signal: `g` or `dps`, by the sensor's unit, along the direction of `key`, times the
+        `course` at the instant, which may depend on the stimulus.
+        """
         direction, size = self.direction(key), self.by_unit(g, dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:

@@ -125,7 +125,9 @@ class MuxHang(Mechanism):
 
 
 def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
-    """Return a latch that leaves readings unchanged; while the switch hangs, it adds the read sensor to `touched`."""
+    """Return a latch that does not change readings. If it is read while the switch hangs, it adds the sensor that
+    should have been read to `touched`.
+    """
     own_sensor = board.sensors[site.name]
     twins = {
         config.channel: name
