@@ -189,9 +189,9 @@ def _roughness_ratio(sensor: SensorLog, phase: Phase, rests: Sequence[Phase], ro
     """Return the third differences (rms, in units of the sensor) of means over so many rows in the quietest phase at
     rest, and those in a phase as a multiple of them, on the axis where this is largest; None without enough rows.
     """
-    at_rest = [_means(_some_counts(sensor, rest), rows) for rest in rests]
+    at_rest = [_block_means(_some_counts(sensor, rest), rows) for rest in rests]
     quietest = [_roughness(means) for means in at_rest if len(means) > _FEWEST_WINDOWS]
-    moving = _means(_some_counts(sensor, phase), rows)
+    moving = _block_means(_some_counts(sensor, phase), rows)
     if not quietest or len(moving) <= _FEWEST_WINDOWS:
         return None
     least = math.sqrt(20) * _LEAST_NOISE  # white noise of variance 1 has third differences of variance 20
@@ -199,7 +199,7 @@ def _roughness_ratio(sensor: SensorLog, phase: Phase, rests: Sequence[Phase], ro
     return float(np.mean(quiet)) / sensor.sensitivity, float((_roughness(moving) / quiet).max())
 
 
-def _means(counts: Floats, rows: int) -> Floats:
+def _block_means(counts: Floats, rows: int) -> Floats:
     """Return the means (n // rows, 3) of counts (n, 3) over so many rows."""
     whole = len(counts) // rows
     return np.asarray(counts[: whole * rows].reshape(whole, rows, 3).mean(axis=1))
@@ -362,12 +362,12 @@ def _course(
             (_window_means(sensor, edges_ns) - biases[sensor.name]) @ exchanged.get(sensor.name, np.eye(3)).T
             for sensor in gyroscopes
         ],
-        _noise_at_rest(gyroscopes, rests, window_s),
+        _mean_noise(gyroscopes, rests, window_s),
     )
     if accelerometers:
         force = _mean_of(
             [_window_means(sensor, edges_ns) for sensor in accelerometers],
-            _noise_at_rest(accelerometers, rests, window_s),
+            _mean_noise(accelerometers, rests, window_s),
         )
     else:
         force = np.tile([0.0, 0.0, STANDARD_GRAVITY], (len(middles_ns), 1))
@@ -506,7 +506,7 @@ def _mean_at_rest(sensor: SensorLog, rests: Sequence[Phase]) -> Floats:
 
 def _mean_of(sensors: Sequence[Floats], noise: Floats) -> Floats:
     """Return the mean (w, 3) of the readings (w, 3) of the sensors, with its noise reduced; nan where no sensor has
-    readings. `noise` (f, 3) is that of `_noise_at_rest`.
+    readings. `noise` (f, 3) is that of `_mean_noise`.
     """
     readings = np.array(sensors)
     known = np.flatnonzero(np.isfinite(readings[:, :, 0]).any(axis=0))
@@ -539,7 +539,7 @@ def _middle_of(readings: Floats) -> tuple[Floats, Floats]:
     return middle(readings - np.nanmean(apart, axis=1, keepdims=True), axis=0), apart
 
 
-def _noise_at_rest(sensors: Sequence[SensorLog], rests: Sequence[Phase], window_s: float) -> Floats:
+def _mean_noise(sensors: Sequence[SensorLog], rests: Sequence[Phase], window_s: float) -> Floats:
     """Return the noise (f, 3) of the mean of the sensors in windows at rest, at frequencies from 0 to half the rate of
     the windows: the variance that white noise of this density would have. 0 with too few windows.
 

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import pdtrc
 
-from imuarray.arrays import Integers
+from imuarray.arrays import Booleans, Integers, Reals
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, OVERRUN, Event
 from imuarray.log.missed_frames import MISSED
@@ -116,7 +116,8 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
             continue
         others = [(log[other], interval_ns) for other, interval_ns in usual_ns.items() if other != name]
         gaps = [_Gap(begin_ns, end_ns) for begin_ns, end_ns, _ in line.holes()]
-        is_late = np.array([_is_late(gap, usual_ns[name], of_sensor) for gap in gaps])
+        begins_ns, gap_ends_ns = np.array(gaps, float).T
+        is_late = _is_delayed(begins_ns, gap_ends_ns + usual_ns[name], of_sensor)
         if others:
             is_common = np.array([_is_common(gap, others) for gap in gaps])
         else:  # only the logger can tell that a single sensor lost a reading
@@ -165,17 +166,25 @@ def _flagged_times(sensor: SensorLog, usual_ns: float, delays: Sequence[_Gap]) -
     """Return the times of rows at a delay that are flagged as following lost rows. After a short delay no interval is a
     gap, since the reading before the lost one was late.
     """
-    flagged: list[int] = []
-    for delay in delays:
-        rows = sensor.between(round(delay.begin_ns - usual_ns), round(delay.end_ns + 2 * usual_ns))
+    flagged = [np.zeros(0, np.int64)]
+    for rows in sensor.blocks() if delays else ():
         is_flagged = (np.asarray(sensor.status[rows]) & LOST_BEFORE) != 0
-        flagged += np.asarray(sensor.time[rows])[is_flagged].tolist()
-    return np.unique(np.array(flagged, np.int64))
+        if is_flagged.any():
+            flagged.append(np.asarray(sensor.time[rows], np.int64)[is_flagged])
+    times_ns = np.concatenate(flagged)
+    return times_ns[_is_delayed(times_ns - 2 * usual_ns, times_ns + usual_ns, delays)]
 
 
-def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
-    """Return whether the logger reports a delay during the gap."""
-    return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
+def _is_delayed(begin_ns: Reals, end_ns: Reals, delays: Sequence[_Gap]) -> Booleans:
+    """Return whether the logger reports a delay that begins before the end, and ends after the begin, of each of k
+    periods (k,).
+    """
+    if not delays:
+        return np.zeros(len(begin_ns), bool)
+    begins_ns, ends_ns = np.array(sorted(delays), np.int64).T
+    latest_ns = np.maximum.accumulate(ends_ns)
+    before = np.searchsorted(begins_ns, end_ns, side="right")
+    return np.asarray((before > 0) & (latest_ns[before - 1] > begin_ns))
 
 
 def _is_reported(gap: _Gap, usual_ns: float, reports_ns: Integers) -> bool:

@@ -124,8 +124,7 @@ def _resolution(summary: Summary) -> float:
     if is_at_rest(summary.phase):
         return one_row(summary)
     repeated = summary.repeats.repeat_share * (summary.rows - 1) if summary.rows > 1 else 0.0
-    form = _FORM_IN_MOTION / 2 * math.sqrt(repeated + _FEW_IN_MOTION)
-    return math.hypot(0.5, form) / math.sqrt(max(summary.rows, 1))
+    return _resolution_of_share(repeated + _FEW_IN_MOTION, summary.rows, _FORM_IN_MOTION)
 
 
 def _resolution_in_all(phases: Sequence[Summary]) -> float:
@@ -134,7 +133,14 @@ def _resolution_in_all(phases: Sequence[Summary]) -> float:
     """
     repeated, rows = _repeated_rows(phases)
     form, few = (_FORM, 0.0) if all(is_at_rest(phase.phase) for phase in phases) else (_FORM_IN_MOTION, _FEW_IN_MOTION)
-    return math.hypot(0.5, form / 2 * math.sqrt(repeated + few)) / math.sqrt(max(rows, 1))
+    return _resolution_of_share(repeated + few, rows, form)
+
+
+def _resolution_of_share(repeated: float, rows: int, form: float) -> float:
+    """Return the standard error of the arcsine of the share `repeated` / `rows` and its change by the relative error
+    `form` of the share, added in quadrature.
+    """
+    return math.hypot(0.5, form / 2 * math.sqrt(repeated)) / math.sqrt(max(rows, 1))
 
 
 def longest_repeat(summary: Summary) -> Floats:
