@@ -77,7 +77,8 @@ class CommonChange:
 class OpposedChange:
     """Change of the biases of two axes of one design that oppose each other along a box axis: the rms over calibrations
     of a single axis (`alone`) and of the mean of both in the box frame (`together`), in `unit`; the `correlation` of
-    their changes along their own axes, and its probability by chance (nan for two calibrations).
+    their changes along their own axes, and the probability of a correlation at least as large by chance (nan for two
+    calibrations).
     """
 
     chip: str
@@ -102,7 +103,9 @@ class CalibrationComparison:
 
 
 def compare_calibrations(calibrations: Mapping[str, Calibration]) -> CalibrationComparison:
-    """Compare calibrations by name. CalibrationError for fewer than two, sensors of equal name, or none in common."""
+    """Compare two or more calibrations, given by name. CalibrationError if there are fewer, if two different sensors
+    have the same name, or if no sensor is in two calibrations.
+    """
     names, files = tuple(calibrations), list(calibrations.values())
     if len(files) < 2:
         raise CalibrationError("at least two calibrations are required")
@@ -140,7 +143,9 @@ def _refuse_two(name: str, names: Sequence[str], calibrations: Mapping[int, Sens
 
 
 def _changes(name: str, calibrations: Mapping[int, SensorCalibration]) -> Iterator[Change]:
-    """Yield every figure of at least two calibrations; its probability is not yet corrected for the others."""
+    """Yield every figure that at least two calibrations measured; its probability is not yet corrected for the number
+    of figures.
+    """
     temperature = _temperature(calibrations)
     rows: dict[tuple[str, str, str], dict[int, tuple[float, float]]] = {}
     for number, sensor in calibrations.items():
@@ -174,7 +179,9 @@ def _changes(name: str, calibrations: Mapping[int, SensorCalibration]) -> Iterat
 
 
 def _temperature(calibrations: Mapping[int, SensorCalibration]) -> float | None:
-    """Return the temperature at which biases are compared: the mean of the measurements, if all state one."""
+    """Return the temperature in degC at which biases are compared: the mean over the calibrations that measured a bias;
+    None unless all of these state their temperature.
+    """
     of_biased = [sensor.temperature_degc for sensor in calibrations.values() if sensor.bias_sem_lsb is not None]
     temperatures = [degc for degc in of_biased if degc is not None]
     return float(np.mean(temperatures)) if temperatures and len(temperatures) == len(of_biased) else None
@@ -282,7 +289,9 @@ def _opposed(
 
 
 def _chance_of_correlation(correlation: float, freedom: int) -> float:
-    """Return the probability of such a correlation by chance, by Student's t; nan for two calibrations (always 1)."""
+    """Return the probability of a correlation at least as large by chance, by Student's t with one degree of freedom
+    less than the changes have; nan for two calibrations, because their changes always correlate fully.
+    """
     if freedom < 2 or not np.isfinite(correlation):
         return float("nan")
     t = correlation * np.sqrt((freedom - 1) / max(1 - correlation**2, 1e-300))

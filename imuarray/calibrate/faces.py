@@ -2,7 +2,8 @@
 
 Every axis is a linear function of the direction of gravity: ``mean counts = response_row @ up + bias``. With one
 reading of each of the six faces the least-squares solution is the appendix's: half differences and the mean of six. A
-repeated face measures the drift and is not part of the fit, except in a gyroscope's bias (the paper's Table 4).
+repeated face measures the drift and is not part of the fit, except in a gyroscope's bias, which the paper takes over
+all readings (Table 4).
 
 Readings may deviate by more than noise, because a table leans or a bias wanders. Six faces have two degrees of freedom
 per axis from which this is estimated; if it is significant, it is included in the standard errors, equally for every
@@ -10,7 +11,8 @@ reading of a sensor. A leaning table affects all sensors, so that their errors a
 
 Face labels are verified: the box axis that pointed up according to the accelerometers is compared with the one that the
 phase states. If most accelerometers contradict a face, its label is wrong; if a single sensor does, its axes differ
-from those in the log. Where a single rotation or reflection of the box explains all faces, the error states both.
+from those in the log. Where a single rotation or reflection of the box explains all faces, either may be the cause, and
+the error states both.
 """
 
 from __future__ import annotations
@@ -76,7 +78,9 @@ def axes_text(rows: Floats) -> str:
 
 
 def _common_rotation(labels: Indices, measured: Indices) -> Floats | None:
-    """Return the signed permutation (3, 3) from labelled to measured directions; None unless six faces determine it."""
+    """Return the signed permutation (3, 3) that maps the labelled direction of every face to the measured one; None if
+    no such permutation exists, or if fewer than six faces do not determine it.
+    """
     if len(np.unique(labels)) < len(UP_AXES):
         return None
     turn = np.array([_UPS[measured[np.flatnonzero(labels == up)[0]]] for up in (0, 2, 4)]).T
@@ -115,7 +119,9 @@ def _exchanged_labels(readings: PoseReadings, wrong: Sequence[int] | Indices, tu
 _ALL_FACES = "z_up, x_up, y_up, x_down, y_down, z_down are required"
 
 LEANS_G = 0.01
-"""Least distance in g of a face's mean force from the line through the others at which the box leaned: 0.6 degrees."""
+"""Least distance, in g, of a face's mean force from the straight line through the other faces at which the box leaned:
+0.6 degrees.
+"""
 
 _HALFWAY = 0.8
 """Cosine of 37 degrees: largest angle between a measured axis and the configured one."""
@@ -171,8 +177,9 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
     """Return the index of the face that leaned, and the lean in words; None if no face leaned.
 
     The mean of all accelerometers is treated as one triad. The error of a face is its distance from the straight line
-    through the other faces. With six faces, the two opposite faces of a pair have the same distance; then the one
-    farther from the configured axes' prediction is chosen. CalibrationError if neither is.
+    through the other faces. With six faces, the two opposite faces of a pair have the same distance; then the face that
+    is farther from the direction that the configured axes predict is chosen. CalibrationError if both are about equally
+    far.
     """
     used = [place for place in range(len(readings.poses)) if place not in bad]
     design = np.column_stack([up_box[used], np.ones(len(used))])
@@ -238,7 +245,9 @@ def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
 
 
 def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> SensorCalibration:
-    """Return a gyroscope's calibration: bias as the mean reading (the paper's Table 4), g-sensitivity."""
+    """Return a gyroscope's calibration: the bias is the mean over all readings, as in the paper's Table 4; the
+    g-sensitivity is that of `fit`.
+    """
     all_readings = read_poses([sensor], readings)
     variance = all_readings.variance_lsb2[0].sum(axis=0) / len(readings) ** 2
     variance = variance + fit.repeatability_lsb**2 / len(readings)
@@ -253,7 +262,9 @@ def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> 
 
 
 def leave_one_out_residual(sensor: SensorLog, faces: Sequence[Pose]) -> Floats:
-    """Return the length (k,) of the specific force less 1 g on each face, calibrated on the others; nan if too few."""
+    """Return the length (k,) in g of an accelerometer's specific force on each face, less 1 g, calibrated on the other
+    faces; nan where these are too few.
+    """
     mean = read_poses([sensor], faces).mean_lsb[0]
     design = np.column_stack([np.array([pose.up_box for pose in faces], float), np.ones(len(faces))])
     residual = np.full(len(faces), np.nan)

@@ -78,9 +78,11 @@ class TriadFit:
 
 
 def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[TriadFit, Floats]:
-    """Fit readings (k, 3) of equal weight to a design (k, p), response columns first; return also residuals (k, 3).
+    """Fit readings (k, 3), with equal weights, to a design (k, p), response columns first, by least squares. Return the
+    fit and its residuals (k, 3).
 
-    Scatter beyond the noise `variance` (k, 3) is estimated for each axis, or for all together with few readings.
+    Scatter beyond the noise `variance` (k, 3) is estimated for each axis, or for the three axes together if there are
+    too few readings.
     """
     solver = np.linalg.pinv(design)
     coefficients = (solver @ mean).T
@@ -123,7 +125,8 @@ def refuse_imprecise(sensor: SensorLog, sem_lsb: Floats, most: Mapping[str, floa
 
 MOVED_G = 0.005
 """Change of gravity between the halves of a pose, in g, above which the box moved (0.3 degrees). Warm-up changes biases
-by less than a fifth of it during a pose (1 mg in 90 minutes in the paper's Table 3, 0.3 mg in 20 s of MPU-9150).
+by less than a fifth of it during a pose (1 mg in 90 minutes in the paper's Table 3, 0.3 mg in 20 s in a recording of
+MPU-9150).
 """
 
 BREAK_S = 30.0
@@ -192,7 +195,8 @@ def moving_poses(readings: PoseReadings) -> dict[int, str]:
 
 
 def misfit_probability(with_it: float, without: float, number: int, freedom: float) -> float:
-    """Return the probability of such a misfit of `number` readings by chance: the F test of a mean shift.
+    """Return the probability that `number` readings have a misfit at least as large by chance: the F test of a mean
+    shift.
 
     `with_it` and `without` are the weighted sums of squares of a fit with these readings and of a fit without them,
     which has `freedom` degrees of freedom; 1.0 if it has none.
@@ -206,7 +210,9 @@ def misfit_probability(with_it: float, without: float, number: int, freedom: flo
 
 
 def find_outlier(p_values: Sequence[float], sizes: Floats, smallest: float) -> int | None:
-    """Return the index of the least probable pose or turn with an error of `smallest` or more, None if by chance."""
+    """Return the index of the least probable pose or turn with an error of at least `smallest` (in the unit of
+    `sizes`), if it is significant for this number of them; otherwise None.
+    """
     candidates = np.where(sizes >= smallest, p_values, 1.0)
     index = int(candidates.argmin())
     return index if candidates[index] < FALSE_ALARM / len(candidates) else None

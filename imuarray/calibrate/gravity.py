@@ -106,7 +106,9 @@ class Bundle:
         return np.asarray((1 - self.weight * variance).sum(axis=1))
 
     def covariance(self) -> Floats:
-        """Return the covariance (a p, a p) of all coefficients in the frame of `solve`, not of the box."""
+        """Return the covariance (a p, a p) of all coefficients in the frame of `solve`, before the rotation into the
+        box frame.
+        """
         axes, p, _ = self.own.shape
         shared = self.shared.reshape(axes * p, -1)
         full = shared @ self.direction_covariance @ shared.T
@@ -147,7 +149,9 @@ def _tangents(up: Floats) -> Floats:
 
 
 def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """Return the change (a, p, 2k) of axes with the directions, and the reduced information (2k, 2k) of directions."""
+    """Return the change (a, p, 2k) of the axes with the directions, and the directions' information matrix (2k, 2k)
+    after elimination of the axes.
+    """
     axes, poses, _ = slopes.shape
     mixed = np.einsum("kp,ak,aki->apki", design, weight, slopes).reshape(axes, -1, 2 * poses)
     shared = own @ mixed
@@ -161,7 +165,9 @@ def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tup
 
 @dataclass(frozen=True)
 class BoxFrameFit:
-    """A bundle in the box frame: coefficients (a, p), directions (k, 3), and covariances (a p, a p), (3 k, 3 k)."""
+    """A bundle rotated into the box frame: coefficients (a, p) with covariance (a p, a p), directions (k, 3) with
+    covariance (3 k, 3 k).
+    """
 
     coefficients: Floats
     covariance: Floats
@@ -203,7 +209,9 @@ def turn_into_box_frame(bundle: Bundle, orientations: Floats) -> BoxFrameFit:
 
 
 def _turned_by(rows: Floats, stacked: Floats, p: int) -> tuple[Floats, Floats]:
-    """Return the derivative (a p, 3) by a common rotation, and the rotation (3, a p) that keeps the mean symmetric."""
+    """Return the derivative (a p, 3) of the coefficients by a common rotation, and the rotation (3, a p) that keeps the
+    mean response symmetric if the coefficients change.
+    """
     axes = len(rows)
     free = np.zeros((axes, p, 3))
     free[:, :3] = np.cross(np.eye(3)[None], rows[:, None, :]).transpose(0, 2, 1)  # column j: e_j x row
@@ -232,7 +240,9 @@ def directions_of(readings: PoseReadings) -> Floats:
 
 
 def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
-    """Return the force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError for too few attitudes."""
+    """Return the specific force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError if the poses do
+    not separate bias from scale.
+    """
 
     def gravity(parameters: Floats) -> Floats:
         shape = np.zeros((3, 3))
@@ -251,7 +261,9 @@ FACE_COSINE = 0.97
 
 
 def faces_of(means_g: Floats) -> list[tuple[int, bool]]:
-    """Return for each pose (k, 3) the axis (0, 1, 2) along gravity and whether it is positive; [] if one is tilted."""
+    """Return for each pose (k, 3) the axis (0, 1, 2) along which gravity points, and whether it is positive; [] if a
+    pose is not on a face.
+    """
     directions = means_g / np.linalg.norm(means_g, axis=1, keepdims=True)
     axis = np.argmax(np.abs(directions), axis=1)
     component = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
@@ -272,7 +284,9 @@ def insufficient_poses(sensor: SensorLog, means_g: Floats | None = None) -> str:
 
 
 def _common(directions: Sequence[Floats]) -> Floats:
-    """Return the mean (3, k) of the sensors' aligned directions (3, k) (Kabsch, Acta Cryst. A32, 1976, p. 922)."""
+    """Return the mean (3, k) of the sensors' directions (3, k), each aligned with it (Kabsch, Acta Cryst. A32, 1976, p.
+    922).
+    """
     from scipy.spatial.transform import Rotation  # slow to import
 
     common = np.asarray(directions[0])
@@ -305,7 +319,8 @@ class GravityFit:
     force with the drift corrected, and `held_out_force_g` the same by a calibration from all other poses (nan where
     those are too few). `drift_lsb` (s, 3) is the bias in the first pose less that in the last, and `drift_terms` the
     number of powers of time in it. `covariance` (12 s, 12 s) is that of bias and response of all sensors: the rows of
-    `fits`' coefficients without the drift, in the order of the sensors. `up_covariance` (3 k, 3 k) of directions.
+    `fits`' coefficients without the drift, in the order of the sensors. `up_covariance` (3 k, 3 k) is that of the
+    directions.
     """
 
     calibrations: tuple[SensorCalibration, ...]
@@ -387,7 +402,9 @@ def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Outlier]) -> N
 
 @dataclass(frozen=True)
 class _JointFit:
-    """Fit `bundle` to `values` (a, k) in g: the scatter `beyond` noise (a,), chi-squared and freedom (a,) by noise."""
+    """Joint fit of all axes (a = 3 s) in all poses (k): `bundle` is fitted to `values` (a, k) in g; `beyond` (a,) is
+    the scatter beyond the noise, `chi_squared` and `freedom` (a,) are those with the noise alone.
+    """
 
     readings: PoseReadings
     values: Floats
@@ -436,7 +453,8 @@ def _chi_squared(bundle: Bundle) -> tuple[Floats, Floats]:
 
 
 def _fit_drift(readings: PoseReadings, values: Floats, noise: Floats, up_box: Floats) -> tuple[Floats, Bundle]:
-    """Return the terms beside the response, powers of time that improve the fit significantly, and the fit.
+    """Return the terms of the fit in addition to the response, and the fit. The terms are powers of time, as long as
+    each one improves the fit significantly.
 
     All terms but the bias have zero mean over the poses, so that the bias is the mean one. If the poses do not separate
     a drift from the other parameters, it remains part of the scatter.

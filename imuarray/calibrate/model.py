@@ -8,7 +8,8 @@ Measurement model of a triad, counts of one reading::
 `stimulus_box` is the specific force in g or the angular rate in dps in the box frame. Row k of `response` (counts per
 unit) is the response of the sensor's axis k to each box axis; it includes scale factor, misalignment and orientation.
 
-Figures that result from one measurement form a group (`GROUPS`): they are replaced together and share an origin.
+Figures that result from one measurement form a group (`GROUPS`): they are replaced together, and each group states its
+origin.
 """
 
 from __future__ import annotations
@@ -337,9 +338,11 @@ class SensorCalibration:
         return np.asarray(self.bias_lsb / self.scale_lsb_per_unit)
 
     def azimuth_elevation_deg(self) -> Floats:
-        """Return azimuth (0 along box X, 90 along Y) and elevation of each sensor axis (3, 2), in degrees.
+        """Return azimuth (0 along box X, 90 along box Y) and elevation above the XY plane (3, 2) of each sensor axis,
+        in degrees.
 
-        These are the paper's Appendix B, by atan2: its quotient is inverted and loses the quadrant.
+        These are the angles of the paper's Appendix B, by atan2: the printed quotient is inverted and loses the
+        quadrant.
         """
         x, y, z = self.directions_box.T
         return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
@@ -358,7 +361,9 @@ class Calibration:
     sources: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> SensorCalibration:
-        """Return the parameters of this sensor; the CalibrationError for an unknown name lists the known ones."""
+        """Return the parameters of the sensor of this name; the CalibrationError for an unknown name lists the names
+        that exist.
+        """
         if name not in self.sensors:
             names = ", ".join(self.sensors) or "no sensor"
             raise CalibrationError(f"no calibration of {name!r}; there is {names}{guess(name, self.sensors)}")
@@ -373,7 +378,9 @@ class Calibration:
         return Calibration(sensors, (*self.sources, *other.sources))
 
     def stamped(self, logs: Sequence[Log]) -> Calibration:
-        """Return a copy with logs, software, epoch and bias temperature for every group without provenance."""
+        """Return this calibration with logs, software, epoch and bias temperature as the provenance of every measured
+        group that has none.
+        """
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: Described) -> SensorCalibration:
@@ -388,7 +395,9 @@ class Calibration:
         return self.or_nominal(sensor)
 
     def or_nominal(self, sensor: Described) -> SensorCalibration:
-        """Return the calibration of `sensor`, or the data sheet's values. CalibrationError if it does not fit."""
+        """Return the calibration of `sensor`, or the data sheet's values (no bias, the configured axes) if there is
+        none. CalibrationError if the calibration does not fit the sensor.
+        """
         stored = self.sensors.get(sensor.name)
         if stored is None:
             return nominal(sensor)
@@ -411,7 +420,9 @@ class Calibration:
         return stored
 
     def scales(self, sensors: Iterable[Described]) -> dict[str, list[float]]:
-        """Return the counts per unit (3,) of the sensors in it, by name. CalibrationError if one does not fit."""
+        """Return the counts per unit of each axis (3,), by name, of those `sensors` that the calibration contains.
+        CalibrationError if it does not fit one of them.
+        """
         known = (sensor for sensor in sensors if sensor.name in self.sensors)
         return {sensor.name: self.or_nominal(sensor).scale_lsb_per_unit.tolist() for sensor in known}
 
@@ -428,8 +439,9 @@ class Calibration:
         return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(sensors)}>"
 
     def to_pandas(self) -> Any:
-        """Return a `pandas.DataFrame` with a row for each axis: bias, scatter and their unit (g, dps or gauss), counts
-        per unit, and standard errors; nan where a figure was not measured. MissingExtraError.
+        """Return a `pandas.DataFrame` with a row for each axis: bias, scatter of single readings and their unit (g, dps
+        or gauss), counts per unit, and standard errors; nan where a figure was not measured. MissingExtraError without
+        pandas.
 
         >>> from imuarray import load_calibration
         >>> table = load_calibration("cal.toml").to_pandas()
@@ -480,7 +492,9 @@ class Calibration:
 
 
 def nominal(sensor: Described) -> SensorCalibration:
-    """Return the calibration of a triad by its data sheet and axes; CalibrationError without a sensitivity."""
+    """Return the calibration of a triad according to its data sheet and its configured axes; CalibrationError for a
+    sensor without a sensitivity.
+    """
     if not sensor.is_triad:
         raise CalibrationError(f"{sensor.where}: measures {sensor.quantity}; only triads are calibrated")
     if sensor.sensitivity <= 0:

@@ -1,6 +1,7 @@
 """Rest and motion of the box in a log: the longest rest if no phase states one, and signs that the box moved.
 
-A calibration at rest refuses stretches in which the box moved: motion is not a property of the sensor.
+A calibration at rest refuses stretches in which the box moved, because a figure computed from motion is not a property
+of the sensor.
 
 A knock is a short disturbance of a box at rest, detected in windows of half a second: it lies between two rests and
 lasts at most `BRIDGED_S`. If the attitude is the same before and after it, the two rests are joined; if the box was
@@ -36,13 +37,17 @@ from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 from imuarray.units import INERTIAL, READABLE
 
 STRONG = 4.0
-"""Least scatter during a knock as a multiple of that at rest; less may be the noise of windows with few rows."""
+"""Least scatter during a knock as a multiple of the scatter at rest; a weaker disturbance may be the noise of windows
+with few rows.
+"""
 
 _SURE = 5.0
 """Least change of the attitude by a knock, in standard errors."""
 
 _LEAST_SHARE = 0.05
-"""Least change of the attitude by a knock, as a share of `SAME_POSE`: noise may wander or be lost by rounding."""
+"""Least change of the attitude by a knock, as a share of `SAME_POSE`, however small its standard error is: the noise
+may wander, and noise of less than a count is lost by rounding.
+"""
 
 LISTED = 5
 """Largest number of knocks that are listed with their times."""
@@ -99,7 +104,9 @@ def _knock(windows: RestWindows, before: Indices, after: Indices, quiet: float, 
 
 
 def _error_of_means(mean: Floats, rests: Sequence[Indices]) -> float:
-    """Return the standard error of a difference of means over `_NEIGHBOURS` windows, by neighbours' median change."""
+    """Return the standard error of the difference of two means over `_NEIGHBOURS` windows, for the worst axis, from the
+    differences of neighbouring windows (1.48 times the median: the standard deviation of normal numbers).
+    """
     changes = np.concatenate([np.abs(np.diff(mean[run], axis=0)) for run in rests])
     return float(1.48 * np.median(changes, axis=0).max() / np.sqrt(_NEIGHBOURS))
 
@@ -121,7 +128,9 @@ _CHOSEN = "the longest rest that the sensors show; no phase is marked as one"
 
 
 def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
-    """Return the longest rest by the sensors without its knocks; None if there is none, or a phase is one or given."""
+    """Return the longest rest detected by the sensors, without the knocks in it; None if there is none, if a `phase` is
+    given, or if the log marks a phase as a rest.
+    """
     if phase is not None or choose_stretch(log, None).phase is not None:
         return None
     try:

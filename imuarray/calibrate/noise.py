@@ -8,7 +8,8 @@ segments of T seconds of a process with variance v and time constant tau have th
 exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``: those of a sampled process in
 white noise, so a Kalman filter gives their exact likelihood. The level of each stretch is unknown and is integrated
 out, which also corrects for its degree of freedom (restricted maximum likelihood: Patterson and Thompson, Biometrika
-58, 1971). Several averaging times are used together: long ones contain mostly the process, short ones white noise.
+58, 1971). Several averaging times are used together: means over long times contain mostly the process, and those over
+short times mostly white noise.
 
 The filter runs for a grid of time constants and of ratios of drift to noise, first a coarse one, then a fine one about
 the maximum. Standard errors and bounds weigh the grid by the likelihood, with a prior that is flat in the rms and in
@@ -89,7 +90,9 @@ def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None
 
 
 class _Grid(NamedTuple):
-    """Log likelihood (t, u, k) of k axes for time constants (t,), ratios (u, k) of drift to noise, and that `noise`."""
+    """Log likelihood (t, u, k) of k axes for time constants (t,) and ratios (u, k) of the drift's rms to the noise of a
+    mean; `noise` (t, u, k) is the most likely rms of that noise.
+    """
 
     times: Floats
     ratios: Floats
@@ -129,7 +132,9 @@ class _Grid(NamedTuple):
         return float(self.times[int(profile.argmax())]), np.array(ends)
 
     def _joint(self) -> Floats:
-        """Return the log likelihood (t, u, k) of all axes, the others at their maximum for the time constant."""
+        """Return the log likelihood (t, u, k) of all axes, with the other axes at their maximum for the time
+        constant.
+        """
         best = self.log_likelihood.max(axis=1)
         of_others = best.sum(axis=1, keepdims=True) - best
         return np.asarray(self.log_likelihood + of_others[:, None, :])
@@ -164,7 +169,9 @@ def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ra
 
 
 class _LikelihoodSums(NamedTuple):
-    """Sums over a stretch over variance: squared innovations of means and of a constant 1, products, log variance."""
+    """Sums over a stretch, each divided by the variance: squared innovations of the means (`values`), those of a
+    constant 1 (`ones`), their products (`mixed`), and the logarithms of the variance.
+    """
 
     values: Floats
     ones: Floats
@@ -173,7 +180,9 @@ class _LikelihoodSums(NamedTuple):
 
 
 def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _LikelihoodSums:
-    """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
+    """Filter one stretch and return its sums; `shared` is the variance of the sampled process, `noise` that of a mean
+    about it. Compiled code filters one point of the grid after the other; without it, all points are filtered at once.
+    """
     steps = np.diff(part.time_s, append=np.inf)
     compiled = drift_sums(part.mean, np.exp(-steps[:, None] / times.ravel()), shared, noise)
     if compiled is not None:
@@ -195,7 +204,9 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
 
 
 _ENOUGH_SEGMENTS = 16
-"""Fewest segments for the standard error of a pooled variance; with fewer, the formula for white noise is used."""
+"""Fewest segments from whose variances the standard error of the pooled variance is computed; with fewer, the formula
+for white noise is used.
+"""
 
 
 @dataclass(frozen=True)
@@ -212,7 +223,8 @@ class ReadingNoise:
 
 
 def reading_noise(stretches: Stretches, false_alarm: float | None) -> ReadingNoise | None:
-    """Measure a sensor's noise of single readings over its `stretches` at rest; None without two in a segment.
+    """Measure the noise of single readings, pooled over the `stretches` of one sensor at rest; None if no segment has
+    two valid readings.
 
     `false_alarm` is the probability that a line is detected on an axis without lines; None: lines are not searched for.
     """
@@ -268,7 +280,9 @@ class _PooledSquares:
         return np.asarray(np.sqrt(self._squares / self.freedom))
 
     def rms_sem_lsb(self) -> Floats:
-        """Standard error of `rms_lsb` by the scatter of segment variances, without assumptions on the distribution."""
+        """Standard error of `rms_lsb`, from the scatter of the segments' variances, which needs no assumption on
+        correlation or distribution.
+        """
         variance = self._squares / self.freedom
         if self._segments < _ENOUGH_SEGMENTS:
             return np.asarray(np.sqrt(variance / (2 * self.freedom)))
@@ -301,10 +315,12 @@ def calibrate_noise(
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
     """Measure the noise of single readings, its correlation and lines, and the drift of every inertial sensor, pooled
-    over all still stretches of one log or several. The slopes of `known` remove temperature from the drift.
+    over all still stretches of one log or several. Changes with temperature are removed from the drift by the slopes of
+    `known`.
 
     Still stretches are phases that name a face, `static` and `room`; in a log without these phases they are detected by
-    the accelerometers. CalibrationError without still stretches. `progress` receives step, sensors done, and total.
+    the accelerometers. CalibrationError without still stretches. `progress` is called with the step, the number of
+    sensors done, and their total.
     """
     require_logs(logs, "calibrate_noise(*logs)")
     return _calibrated(logs, known, _FALSE_ALARM, progress)
@@ -316,7 +332,9 @@ def _calibrated(
     false_alarm: float | None,
     progress: Callable[[str, int, int], None],
 ) -> Calibration:
-    """Do what `calibrate_noise` does; `false_alarm` is the probability of a false line, None for no search."""
+    """Do what `calibrate_noise` does; `false_alarm` is the probability that a line is reported on any axis of a log
+    without lines, None if lines are not searched for.
+    """
     for log in logs:
         log.keep_rows()
     poses = [pose for log in logs for pose in _still_stretches(log)]

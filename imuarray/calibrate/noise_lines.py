@@ -40,7 +40,9 @@ _NEAR = 3.0
 
 @dataclass
 class _Track:
-    """A line over successive windows: frequencies, sum of squared amplitudes times rows, and rows with the line."""
+    """A line over successive windows: its frequencies, the sum of squared amplitudes times rows, and the rows in which
+    it is present.
+    """
 
     frequencies_hz: list[float] = field(default_factory=list)
     squares: float = 0.0
@@ -57,7 +59,8 @@ def noise_lines(
     stretches: Stretches, clock: ReadingInterval, rms_lsb: Floats, false_alarm: float
 ) -> tuple[NoiseLine, ...]:
     """Return the lines of every axis of one sensor at rest, strongest first, from the spectrum of all `stretches` and
-    those of windows; none if no stretch is long enough. A line's share is its variance over ``rms_lsb^2``.
+    those of windows; none if no stretch is long enough. The share of a line is the variance of its sine over
+    ``rms_lsb^2``.
 
     `false_alarm` is the probability that an axis without lines shows one.
     """

@@ -1,7 +1,8 @@
 """Cancellation of biases and temperature drift by anti-parallel axes of one design (the paper's section 2.1).
 
 An error that all units of a design have in common remains in the mean of parallel axes and cancels between opposite
-ones. It is evaluated in the biases, in the box frame (`cancellation`), and in the slopes (`opposed_slopes`).
+ones. It is evaluated in the calibrated biases, rotated into the box frame (`cancellation`), and in the slopes with
+temperature (`opposed_slopes`).
 
 In the box frame the axes of a pair have opposite signs, so the mean of the pair drifts with half the difference of the
 two slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2; with parallel axes it would be 0.263. Opposed
@@ -134,7 +135,9 @@ def _pair(
 def cancelled(
     first: float, second: float, sem_first: float, sem_second: float
 ) -> tuple[float, float, float, float, float]:
-    """Return the half difference of two slopes, its standard error, the reduction, and both p (see `OpposedSlopes`)."""
+    """Return the half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left`
+    (see `OpposedSlopes`).
+    """
     from scipy.special import ndtr  # slow to import, and every logger imports this package
 
     half, sem = (first - second) / 2, float(np.hypot(sem_first, sem_second)) / 2

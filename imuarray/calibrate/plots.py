@@ -61,7 +61,7 @@ def readable_axes(calibration: Calibration) -> Iterator[tuple[SensorCalibration,
 
 
 def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
-    """Yield axis, unit, bias, its standard error, counts per unit and noise."""
+    """Yield axis, unit, bias, its standard error, counts per unit and noise; "–" if not known."""
     for sensor, axis, name, unit, per_count in readable_axes(calibration):
         figures = (sensor.bias_lsb, sensor.bias_sem_lsb, sensor.noise_lsb)
         bias, sem, noise = (number(np.nan if lsb is None else float(lsb[axis]) * per_count) for lsb in figures)

@@ -1,4 +1,5 @@
-"""Orientation of every sensor as signed axes, from a few poses held by hand, and its entry in a configuration.
+"""Orientation of every sensor as signed axes, from a few poses held by hand, and its entry in the text of a
+configuration.
 
 The axes that a log states are ignored. Of the 24 proper rotations of a sensor in the box (no chip is a mirror image)
 the one that explains the data best is chosen
@@ -72,7 +73,8 @@ TURNS = _turns()
 
 
 def upright_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
-    """Return the log's poses with the box axis up in each: `ups` in order, or those of phases, or `DEFAULT_POSES`.
+    """Return the log's poses with the box axis that was up in each: `ups` in order of time, or those that its phases
+    state, or `DEFAULT_POSES`.
 
     CalibrationError if the number of poses in the log differs from the number of axes.
     """
@@ -144,7 +146,9 @@ def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Poi
 
 
 def _rotation(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
-    """Return the rotation (3, 3) of a fixed vector between poses, in the sensor's frame; None without usable rates."""
+    """Return the rotation (3, 3) in the sensor's frame of a vector that is fixed in the world, from one pose to the
+    next; None if the rates can't be integrated.
+    """
     from scipy.spatial.transform import Rotation  # slow to import
 
     if first.log is not second.log:
@@ -185,7 +189,9 @@ def _box_rotations(
 
 
 def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], rotations: Sequence[Floats | None]) -> Pointing:
-    """Determine a magnetometer's axes by a fixed field and an offset, over the longest run of known rotations."""
+    """Determine the axes of a magnetometer by a field that is fixed in the world and an offset of the sensor, over the
+    longest run of poses with known rotations between them.
+    """
     runs: list[list[tuple[int, Floats]]] = [[(0, np.eye(3))]]
     for index, rotation in enumerate(rotations, start=1):
         if rotation is None:
@@ -224,7 +230,8 @@ _LONGEST = 1 << 20
 
 
 def with_axes(text: str, pointings: Sequence[Pointing], where: str) -> str:
-    """Return a configuration's text with the determined axes; all else, with comments, is unchanged.
+    """Return the text of a configuration with the axes that were determined; everything else, including comments, is
+    unchanged.
 
     ConfigError, beginning with the source of the text (`where`), if that is not a configuration.
     """

@@ -5,7 +5,8 @@ windows of half a second in which the accelerometers hardly change and the gyros
 their means agree. In a log without accelerometers the gyroscopes are used, or else the magnetometers (`find_rests`).
 
 Readings at rest are read block by block. Stale, saturated and suspect rows are ignored; readings on either side of a
-gap are not neighbours. `PoseReadings` contains means of sensors over poses, with standard errors.
+gap are not neighbours. `PoseReadings` contains the means of many sensors over many poses as arrays, with their standard
+errors.
 """
 
 from __future__ import annotations
@@ -76,7 +77,9 @@ class Pose:
     log: Log | None = None
 
     def rows_of(self, sensor: SensorLog) -> tuple[SensorLog, slice]:
-        """Return the sensor of this name in the pose's log, and its rows; CalibrationError for another setting."""
+        """Return the sensor of the same name in the pose's log, and its rows; CalibrationError if it is configured
+        differently there.
+        """
         sensor_of_log = sensor if self.log is None else sensor_in(self.log, sensor)
         return sensor_of_log, sensor_of_log.between(self.phase.start_ns, self.phase.end_ns)
 
@@ -126,7 +129,9 @@ def sensor_in(log: Log, sensor: SensorLog) -> SensorLog:
 
 
 def labelled_faces(logs: Sequence[Log]) -> list[Pose]:
-    """Return the faces of logs: poses that phases name, else phases with an axis up. CalibrationError for no axis."""
+    """Return the faces of several logs: poses that phases name; if there are none, phases of any name that state which
+    axis was up. CalibrationError for an `up` that is not an axis.
+    """
     named = [pose for log in logs for pose in named_faces(log)]
     return named or [pose for log in logs for pose in _faces(log, lambda phase: phase.name not in _NOT_AT_REST)]
 
@@ -267,7 +272,8 @@ def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
 def _slow_ends(mean: Floats) -> tuple[int, int]:
     """Return how many windows at the beginning and at the end of a stretch at rest, with these means (w, k), may belong
     to the adjacent motion: one, or in a long stretch twice the number of windows that differ significantly from the
-    next ones, but at least one. A motion may begin slowly: at half the time a quadratic one is a quarter.
+    next ones, but at least one. A motion may begin slowly: if its rate grows with the square of the time, it is a
+    quarter as large at half the time.
     """
     if len(mean) < _LEAST_MARGINED:
         return 0, 0
@@ -303,7 +309,9 @@ def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
 
 
 def _turning(rate_dps: Floats, std_dps: Floats, still: npt.NDArray[np.bool_], rows: float) -> npt.NDArray[np.bool_]:
-    """Return (w,) whether the box turns: the rate differs from the `still` median. Windows without rates are still."""
+    """Return (w,) whether the box turns in a window of `rows` rows: the mean rate of a gyroscope differs from the
+    median of the `still` windows. A window without readings of a gyroscope counts as still.
+    """
     usual = np.median(rate_dps[still], axis=0)
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
     deviation = np.abs(rate_dps - usual).max(axis=1)
@@ -393,7 +401,9 @@ class PoseReadings:
         return PoseReadings(self.sensors, tuple(self.poses[place] for place in places), mean, variance, change, sem)
 
     def force_box_g(self) -> Floats:
-        """Return the specific force (s, k, 3) in g, box frame, by data-sheet sensitivities, with the biases."""
+        """Return the specific force (s, k, 3) in g in the box frame by the data sheets' sensitivities; it includes the
+        biases.
+        """
         turns = np.array([sensor.orientation / sensor.sensitivity for sensor in self.sensors])
         return np.asarray(np.einsum("sij,skj->ski", turns, self.mean_lsb))
 
@@ -429,7 +439,8 @@ def read_poses(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> PoseReadi
     """Read every sensor in every pose; CalibrationError if one has no valid readings in a pose.
 
     The noise of an axis is assumed equal in all poses, so its variances are pooled. Means of counts with little scatter
-    have an error by rounding, ``exp(-4 pi^2 sd^2) / 12`` (first harmonic of the rounding bias).
+    have an error by rounding, ``exp(-4 pi^2 sd^2) / 12`` (the first harmonic of the rounding bias for a normal scatter
+    sd).
     """
     readings = [[read_pose(sensor, pose) for pose in poses] for sensor in sensors]
 
@@ -484,7 +495,9 @@ def clock_of(stretches: Stretches) -> ReadingInterval:
 
 
 class SegmentReadings(NamedTuple):
-    """Valid readings of one block: counts (n, 3), the segment of each, and whether there is a gap before it."""
+    """Valid readings of one block: counts (n, 3), the number of the segment that contains each reading, and whether
+    there is a gap before it.
+    """
 
     counts: Floats
     segment: npt.NDArray[np.int64]

@@ -37,7 +37,9 @@ from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 WINDOW_S = 0.1
-"""Length in s of the compared windows: short beside turns by hand, long beside the times between readings."""
+"""Length in s of the compared windows: short compared with turns by hand, long compared with the times between the
+readings of different sensors.
+"""
 
 _CHUNK = 4096
 """Number of windows in memory at a time."""
@@ -104,7 +106,9 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
 
 
 class _Ends(NamedTuple):
-    """Rests between turns (k): up (k, 3) in the box frame, and the covariance (3 k, 3 k) of all directions."""
+    """Rests between turns (k): the upward direction (k, 3) in each in the box frame, and the covariance (3 k, 3 k) of
+    all directions.
+    """
 
     poses: tuple[Pose, ...]
     up_box: Floats
@@ -142,7 +146,9 @@ def _logged(calibrated: Sequence[Calibrated]) -> list[SensorLog]:
 def _turned(
     sensor: SensorLog, calibrated: SensorCalibration, ends: _Ends, accelerometers: Sequence[Calibrated]
 ) -> SensorCalibration | None:
-    """Return the calibration with its response updated by turns between rests; None if they contradict it."""
+    """Return the calibration with the response updated by turns between rests, unchanged if they are too few; None if
+    they contradict it.
+    """
     try:
         fit = fit_turns(sensor, calibrated, ends.poses, ends.up_box, ends.covariance, accelerometers)
     except CalibrationError:  # no valid reading in a rest
@@ -181,7 +187,9 @@ def _updated(
     references: Sequence[Calibrated],
     accelerometers: Sequence[Calibrated],
 ) -> SensorCalibration | None:
-    """Return the calibration with its response updated by rates of `references`; None if they contradict it."""
+    """Return the calibration with the response updated by the rates of `references`, unchanged if there are too few;
+    None if the rates contradict it.
+    """
     prior = _covariance(calibrated)
     information, right, squares, windows = np.zeros((_PARAMETERS, _PARAMETERS)), np.zeros(_PARAMETERS), 0.0, 0
     response = calibrated.response_lsb_per_unit
@@ -220,7 +228,9 @@ def _updated(
 
 
 def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats:
-    """Return the covariance (9, 9) of a response by errors E of the references' responses: those of response @ E."""
+    """Return the covariance (9, 9) of a response by errors of the references' responses. The error of the rate, the
+    references' mean, is E rate_box with E the mean of their relative errors, and that of the response is response @ E.
+    """
     errors = np.zeros((9, 9))
     for _, calibrated in references:
         covariance = _covariance(calibrated)
@@ -237,7 +247,9 @@ def _covariance(calibrated: SensorCalibration) -> Floats:
 
 
 def _noise(deviation: Floats) -> Floats:
-    """Return the variance (3,) of a window's mean by second differences, which slow motion does not affect."""
+    """Return the variance (3,) of a window's mean: a sixth of the mean square of second differences, which slow motion
+    does not affect.
+    """
     bends = np.diff(deviation, 2, axis=0)
     squares = np.median(bends**2, axis=0) / MEDIAN_SQUARE
     return np.asarray(np.maximum(squares / 6, 1e-6))
@@ -279,14 +291,18 @@ def _windows(
 
 
 def without_force(counts: Floats, calibrated: SensorCalibration, force_g: Floats | None) -> Floats:
-    """Return counts (n, 3) of a gyroscope less g-sensitivity times specific force (n, 3) in g, if both are known."""
+    """Return counts (n, 3) of a gyroscope less its g-sensitivity times the specific force (n, 3) in g, if both are
+    known.
+    """
     if force_g is None or calibrated.g_sensitivity_lsb_per_g is None:
         return counts
     return np.asarray(counts - force_g @ calibrated.g_sensitivity_lsb_per_g.T)
 
 
 def window_means(sensor: SensorLog, first_ns: int, width_ns: int, count: int) -> tuple[Floats, Booleans]:
-    """Return the mean counts (count, 3) of windows, NaN without rows, and whether no row is saturated or suspect."""
+    """Return the mean counts (count, 3) of consecutive windows, NaN for windows without rows, and whether a window has
+    rows of which none is saturated or suspect.
+    """
     rows = sensor.between(first_ns, first_ns + count * width_ns)
     place = (np.asarray(sensor.time[rows], np.int64) - first_ns) // width_ns
     inside = (place >= 0) & (place < count)

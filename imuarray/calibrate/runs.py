@@ -11,7 +11,8 @@ axes, so its distribution by chance depends on the number of runs only. That dis
 scatter and for heavy tails (Student's t with three degrees of freedom), and the share must be significant under both.
 
 If temperatures are known, each group is a line in temperature, and both lines have the same slope, so that a warm-up is
-not mistaken for a state: a split then explains ``|sum of one group|^2 / |its membership less a line|^2``.
+not mistaken for a state: scatter is the residual from a line, and a split explains ``|sum of one group|^2 / |its
+membership less a line|^2``.
 """
 
 from __future__ import annotations
@@ -111,7 +112,8 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
     """Return the most likely split of runs (r, 3), True for runs that are not in the first run's group, and the
     probability of a split at least as good by chance.
 
-    The linear effect of `temperatures` (r,) is removed first, also from draws. No split and 1.0 below 6 runs.
+    The linear effect of `temperatures` (r,) is removed first, also from the simulated draws. No split and 1.0 for fewer
+    than 6 runs.
     """
     rows = len(means)
     if rows < MIN_RUNS:
@@ -147,7 +149,9 @@ def best_split(points: Floats, warm: Floats) -> tuple[Floats, Booleans]:
 
 
 def _towards(lifted: Floats, members: Booleans) -> Floats:
-    """Return the direction (b, d + 1) that separates the groups: between the centres, without the common slope."""
+    """Return the direction (b, d + 1) that separates the groups: from one centre to the other, with the common slope
+    removed.
+    """
     sums = np.einsum("br,brd->bd", members, lifted)
     count, rows = members.sum(axis=1), members.shape[1]
     alone = count * (rows - count) / rows - sums[:, -1] ** 2
@@ -156,7 +160,9 @@ def _towards(lifted: Floats, members: Booleans) -> Floats:
 
 
 def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
-    """Return the share explained (b,) by the best cut along any direction (b, k, d + 1), and its first group (b, r)."""
+    """Return the share explained (b,) by the best cut along any of the directions (b, k, d + 1), and the members (b, r)
+    of its first group.
+    """
     draws, rows, _ = lifted.shape
     order = np.argsort(np.einsum("brd,bkd->bkr", lifted, directions), axis=2)
     sums = np.cumsum(lifted[np.arange(draws)[:, None, None], order], axis=2)
@@ -231,9 +237,11 @@ class SensorRuns:
     gravity_lsb: Floats = field(default_factory=lambda: np.zeros(3))
 
     def in_run(self, used: Sequence[int]) -> tuple[MeanVariance, ...]:
-        """Return for each axis the variance of a run's mean within the runs `used`; empty if only means are known.
+        """Return for each axis the variance of a run's mean, estimated within the runs with indices `used`; empty if
+        only the run means are known.
 
-        A wander slower than a run is not visible within it and counts as a change from run to run.
+        A wander that is slower than the length of a run is not visible within it and counts as a change from run to
+        run.
         """
         parts = [self.segments[place] for place in used] if self.segments else []
         parts = [part for part in parts if len(part.time_s) > 2]
@@ -249,7 +257,8 @@ class SensorRuns:
 def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
     """Read the runs of one sensor: every phase `run <k>`, or the whole log if it has none, numbered in order.
 
-    CalibrationError for different configurations, equal run numbers, or several poses.
+    CalibrationError if the sensor's configuration differs between logs, if two runs have the same number, or if the
+    box had several poses.
     """
     numbers: list[int] = []
     segments: list[SegmentMeans | None] = []
@@ -316,7 +325,9 @@ def _segments(sensor: SensorLog, rows: slice) -> SegmentMeans | None:
 
 
 def _temperature(log: Log, sensor: SensorLog, run: SegmentMeans | None) -> tuple[str, float]:
-    """Return the kind of thermometer and a run's mean degC; ("", nan) without readings, ("none", nan) without one."""
+    """Return the kind of thermometer, and the mean temperature over a run in degC; ("", nan) for a run without
+    readings, ("none", nan) without a thermometer.
+    """
     if run is None:
         return "", float("nan")
     thermometer = thermometer_of(log, sensor, 1.0)

@@ -69,7 +69,9 @@ class SegmentMeans:
 
 @dataclass(frozen=True)
 class TemperatureSeries:
-    """Temperatures (m,) in degC at times (m,) in s since the epoch, in multiples of `step_degc` (0: unknown)."""
+    """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `model.THERMOMETERS`.
+    Readings are multiples of `step_degc` (0: not known).
+    """
 
     kind: str
     time_s: Floats
@@ -81,9 +83,11 @@ class TemperatureSeries:
         return np.interp(time_s, self.time_s, self.degc)
 
     def lagged(self, time_s: Floats, lags_s: Sequence[float]) -> Floats:
-        """Return the temperature (len(time_s), len(lags_s)) after first-order lags, at first in equilibrium.
+        """Return the temperature (len(time_s), len(lags_s)) after first-order lags, each in equilibrium at the first
+        reading.
 
-        Exact for lines between readings: with slope s, lag L gives x1 - s L + (y0 - x0 + s L) exp(-dt / L).
+        Exact for straight lines between the readings: with slope s, a lag L gives x1 - s L + (y0 - x0 + s L)
+        exp(-dt / L).
         """
         lags = np.maximum(np.asarray(lags_s, float), 1e-9)
         steps = np.diff(self.time_s)
@@ -103,7 +107,8 @@ def segment_means(
     """Return mean counts (n, k) of a sensor over segments of `width_s` (longer if there would be more than 20000), of
     all rows or of the rows `within`.
 
-    Stale, saturated and suspect rows and phases `left_out` are ignored. CalibrationError if no rows remain.
+    Stale, saturated and suspect rows and rows inside the phases `left_out` are ignored. CalibrationError if no rows
+    remain.
     """
 
     def sound(rows: slice) -> npt.NDArray[np.bool_]:
@@ -200,7 +205,9 @@ def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Temperatur
 def _read(
     kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: float, width_s: float
 ) -> TemperatureSeries:
-    """Return the segment means of a temperature column's finite values; CalibrationError if there are none."""
+    """Return the segment means of a temperature column, without values that are not finite; CalibrationError if no
+    value is finite.
+    """
 
     def values(rows: slice) -> Floats:
         return np.asarray(np.nan_to_num(np.asarray(column[rows], float), posinf=0.0, neginf=0.0)[:, None])

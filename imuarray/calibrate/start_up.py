@@ -127,7 +127,9 @@ def in_states(starts: Mapping[str, StartUp], calibration: Calibration) -> Calibr
 
 
 def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
-    """Return a gyroscope's bias in one state: the calibrated one plus this state less the state nearest to it."""
+    """Return a gyroscope's bias in one state: the calibrated bias plus the difference of this state and the state that
+    is nearest to it; the state's own bias if none was calibrated.
+    """
     biases = np.array([item.bias_lsb for item in turn_on.states])
     if sensor.bias_sem_lsb is None:
         return np.asarray(biases[state])
@@ -153,7 +155,9 @@ def _first_rests(log: Log, names: Sequence[str]) -> dict[str, RestMean]:
 
 
 def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
-    """Return the states without accelerometers if most are far from theirs (another pose); wrong ranges are kept."""
+    """Return the states without those of accelerometers if most of these are far from theirs, because the box is in
+    another pose; wrong ranges are kept.
+    """
     accelerometers = [name for name in starts if calibration.sensors[name].quantity == "specific_force"]
     far = [name for name in accelerometers if starts[name].fault]
     other_pose = 2 * len(far) > len(accelerometers)
@@ -166,7 +170,9 @@ def without_other_pose(starts: dict[str, StartUp], calibration: Calibration) -> 
 
 PARTS = 10
 _RESTLESS = 25.0
-"""Largest variance of the means of parts at rest over that by white noise; a wandering bias has up to five."""
+"""Largest variance of the means of parts at rest, relative to that by white noise; a wandering bias has a ratio of up
+to five.
+"""
 
 
 class StartUpVerdict(NamedTuple):
@@ -177,7 +183,8 @@ class StartUpVerdict(NamedTuple):
 
 
 class StartStateDetector:
-    """Judges the first readings (an `imuarray.acquire.sensor_health.Judge`): a call returns verdicts.
+    """Judges the first readings of sensors (an `imuarray.acquire.sensor_health.Judge`): a call returns verdicts by
+    name.
 
     `sentences` keeps every sentence; `report` is called with each new one. If the box moved, there are no verdicts.
     """

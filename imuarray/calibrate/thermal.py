@@ -2,10 +2,12 @@
 
 The model of one axis in one heating is ``counts = offset + slope (T - reference) + quadratic (T - reference)^2 + drift
 t + noise``, where T passes a first-order lag that the three axes share and the noise wanders. The lag has no closed
-form: a grid of lags is fitted, each weighted by its likelihood; its uncertainty is part of a slope's standard error.
+form: a grid of lags is fitted, each weighted by its likelihood, so that the uncertainty of the lag is part of a slope's
+standard error.
 
 Every fit includes the curvature, significant or not. Without it, a ramp that spends most of its time at one end would
-give the slope at that end, without the error by other temperatures, and curvature would pass for a lag.
+give the slope at that end, with a standard error that ignores the other temperatures, and a curvature would be mistaken
+for a lag.
 
 An axis that carries the gravity g (in units of g) has the slope ``bias slope + g * sensitivity * scale slope``. One
 orientation gives one such equation with two unknowns (section 5.2.5 of the paper); logs of opposite faces give both.
@@ -66,7 +68,9 @@ _CORRELATION_TIMES = (0.5, 0.15, 0.05, 0.015)
 """Correlation times as shares of the log's length; together they have the prior probability of a random walk."""
 
 _SLOWEST = 8
-"""Fewest cosines whose residuals scale a standard error: five degrees of freedom beside three slow regressors."""
+"""Fewest cosines of which the residuals scale a standard error: five or more degrees of freedom with three slow
+regressors.
+"""
 
 _CONTRIBUTION = 0.8
 """Share of an estimate's variance in the cosines whose residuals scale its standard error."""
@@ -129,7 +133,9 @@ class SlowRegression:
         return profile, restricted
 
     def fits(self, share: Floats) -> list[SlowFit]:
-        """Return the fit of each design, under the expected noise with the designs' probabilities `share` (d,)."""
+        """Return the fit of each design, under the expected noise if the designs have the probabilities `share`
+        (d,).
+        """
         probable = weights(self._restricted + np.log(self._prior), axis=1)
         expected = share @ probable @ self._spectra
         return [_fit(self._series, design, expected) for design in self._designs]
@@ -160,7 +166,9 @@ def _estimator(design: Floats, spectrum: Floats) -> Floats:
 
 
 def _scaled(rows: Floats, series: Floats, design: Floats, spectrum: Floats) -> tuple[Floats, Floats]:
-    """Return variance and freedom (k,) of the estimates ``rows @ series``, by the residuals of contributing cosines."""
+    """Return the variance (k,) of the linear estimates ``rows @ series``, scaled by the residuals of the cosines that
+    contribute to each, and its degrees of freedom (k,).
+    """
     estimate = _estimator(design, spectrum)
     residuals = (series - design @ (estimate @ series)) ** 2 / spectrum
     free = 1 - np.einsum("ki,ik->k", design, estimate)
@@ -188,7 +196,9 @@ _CURVED = 1e-3
 """Significance level of a reported quadratic term."""
 
 _STRAIGHT = 1e-6
-"""Least share of squared temperature that is not linear in temperature and time for a curvature to be fitted."""
+"""Least share of the variance of squared temperatures that is not linear in temperature and time; below it (two levels,
+for example) no curvature is fitted.
+"""
 
 
 @dataclass(frozen=True)
@@ -274,7 +284,9 @@ class _Axis:
         self.likelihood = self._regression.likelihood
 
     def result(self, share: Floats) -> tuple[float, ...]:
-        """Return offset, slope, drift and quadratic term, the last three with errors, averaged by `share` (l,)."""
+        """Return offset, slope, drift and quadratic term, the last three each followed by its standard error, averaged
+        over lags of probabilities `share` (l,).
+        """
         from scipy.special import stdtr  # slow to import
 
         fits = self._regression.fits(share)
@@ -317,7 +329,9 @@ def _determines_curvature(clock: Floats, warm: Floats) -> bool:
 
 
 def _peak(lags_s: Floats, likelihood: Floats) -> float:
-    """Return the most likely lag: the vertex of a parabola through the best lag and its neighbours, over log lag."""
+    """Return the most likely lag: the vertex of a parabola through the best lag of the grid and its neighbours, over
+    the logarithm of the lag.
+    """
     best = int(likelihood.argmax())
     if best <= 1 or best == len(lags_s) - 1:
         return float(lags_s[best])
@@ -335,7 +349,9 @@ orientations that separate bias from scale."""
 _FEWEST_SEGMENTS = 20
 
 MOST_SEM_PER_DEGC: Mapping[str, float] = MappingProxyType({"specific_force": 0.01, "angular_rate": 0.5})
-"""Largest standard error of a measured slope, per degC, in its unit: 10 data-sheet slopes (ADX-62, BMA-115, L3G-71)."""
+"""Largest standard error of a measured slope, per degC, by quantity in its unit: ten times the slope in the data sheets
+(ADX-62, BMA-115, L3G-71).
+"""
 _IMPRECISE = (
     "these logs determine the slope of axis {axis} only to {sem} {unit}/degC; other changes, such as drift, are larger"
 )
@@ -345,7 +361,9 @@ _LEAST_BEND = 0.05
 
 @dataclass(frozen=True)
 class HeatingFit:
-    """Fit of a sensor in a log: axes, thermometer, `span_degc` (lowest, highest), gravity (3,) in g along the axes."""
+    """Fit of one sensor in one log: its axes, the kind of thermometer and the lowest and highest temperature
+    (`span_degc`), and the gravity (3,) in g along its axes.
+    """
 
     sensor: str
     log: str
@@ -357,14 +375,18 @@ class HeatingFit:
 
 @dataclass(frozen=True, repr=False)
 class ThermalResult:
-    """Result of `calibrate_thermal`: calibration (`thermal` only), the fit of each sensor and log, opposing slopes."""
+    """Result of `calibrate_thermal`: the calibration (of `thermal` only), the fit of every sensor in every log, and the
+    slopes of pairs of opposing axes.
+    """
 
     calibration: Calibration
     heatings: tuple[HeatingFit, ...]
     pairs: tuple[OpposedSlopes, ...]
 
     def plot(self) -> Figure:
-        """Plot all slopes with two standard errors, in mg or dps per degC; MissingExtraError without matplotlib."""
+        """Plot the slope of every axis with two standard errors, in mg or dps per degree; MissingExtraError without
+        matplotlib.
+        """
         return self.calibration.plot("thermal")
 
     def __repr__(self) -> str:
@@ -381,7 +403,8 @@ class ThermalResult:
 
 
 def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult:
-    """Measure temperature slopes of every inertial sensor from logs of one array, in one or several orientations.
+    """Measure the slopes with temperature of every inertial sensor from one log, or from several logs of the same array
+    in different orientations.
 
     The box must stand still in a log, except in phases called `motion`, which are ignored. CalibrationError for a log
     without a thermometer, that is too short, whose temperature hardly changed, or that has several orientations.
@@ -437,7 +460,9 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
 def _heatings(
     sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float
 ) -> list[HeatingFit]:
-    """Fit the sensor in every log, about the middle of the first log's temperatures, where slopes are mean slopes."""
+    """Fit the sensor in every log, with the middle of the first log's temperatures as reference: the slope of a
+    parabola there is the mean slope over the range, wherever the box spent most of its time.
+    """
     results: list[HeatingFit] = []
     for log, up in zip(logs, ups, strict=True):
         sensor_of_log = sensor_in(log, sensor)

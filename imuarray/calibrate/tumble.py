@@ -1,4 +1,4 @@
-"""`calibrate tumble`: every inertial sensor from static poses (or named faces) or a slow tumble by hand.
+"""`calibrate tumble`: every inertial sensor from static poses, from named faces, or from a slow tumble by hand.
 
 Bias and g-sensitivity of gyroscopes follow from any static poses (the method of the paper's Table 4, the whole matrix):
 ``mean counts = g_sensitivity @ up + bias (+ drift)``, with the directions of gravity from the accelerometers. The
@@ -61,7 +61,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ANGLES_RAD = np.radians(0.5)
-"""Standard deviation of an axis' direction in its chip, and of a chip's mounting, as in the gap tool's populations."""
+"""Standard deviation in rad of the direction of an axis in its chip, and of a chip's mounting, as in the gap tool's
+populations.
+"""
 
 _FACES = 6
 _UPPER = np.triu_indices(3, 1)
@@ -69,7 +71,9 @@ _STEP = 1e-6
 
 
 def fit_six_faces(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> GravityFit:
-    """Calibrate accelerometers from static poses on the six faces; CalibrationError if one is missing."""
+    """Calibrate accelerometers from static poses on the six faces, in any order; CalibrationError if they are not on
+    all six.
+    """
     readings = read_poses(sensors, poses)
     means = readings.mean_lsb / readings.sensitivity[:, None, None]
     missing = missing_faces(readings)
@@ -146,7 +150,9 @@ def _fit_sensor(sensor: SensorLog, means_g: Floats, noise_g: float) -> tuple[Tri
 
 
 def _shape(parameters: Floats) -> Floats:
-    """Return the matrix (3, 3) from readings less bias to specific force: scale factors and angles without rotation."""
+    """Return the matrix (3, 3) from readings less bias to specific force: scale factors, and angles between the axes
+    without a common rotation.
+    """
     shape = np.diag(parameters[3:6])
     shape[_UPPER] = parameters[6:] / 2
     shape.T[_UPPER] = parameters[6:] / 2
@@ -241,7 +247,9 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
 
 
 def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseReadings, Floats]:
-    """Return the middle readings of every stretch in which all sensors have valid ones, and its motion (k,) in g."""
+    """Return the readings in the middle of every stretch in which all sensors have valid ones, and its motion (k,) in
+    g.
+    """
     parts = [_of_log(sensors, log) for log in logs]
     poses = tuple(pose for each, _, _, _ in parts for pose in each)
     means = np.concatenate([mean for _, mean, _, _ in parts], axis=1)
@@ -252,7 +260,9 @@ def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseR
 
 
 def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats, Floats, Floats]:
-    """Return the poses (k), their middle readings, the noise variances (s, k, 3), and the motion (k,) of one log."""
+    """Return the poses (k), the readings in their middle and their variances by noise (s, k, 3), and the motion (k,) of
+    one log.
+    """
     sensors_of_log = [log[sensor.name] for sensor in sensors]
     begin = max(int(sensor.time[0]) for sensor in sensors_of_log)
     end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors_of_log)
@@ -300,7 +310,9 @@ def _middle(sensor: SensorLog, start_ns: int, width_ns: int) -> tuple[Floats, Fl
 
 
 def _rate(force: Floats, number: npt.NDArray[np.int64]) -> Floats:
-    """Return the rate (k,) in rad/s at which a force (k, 3) turns; `number` (k,) are the stretches' numbers."""
+    """Return the rate (k,) in rad/s at which the direction of a force (k, 3) turns; `number` (k,) are the numbers of
+    the stretches.
+    """
     if len(force) < 2:
         return np.zeros(len(force))
     unit = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
@@ -539,7 +551,9 @@ def _warnings(
 def _by_gravity(
     accelerometers: Sequence[SensorLog], logs: Sequence[Log], progress: Callable[[str, int, int], None]
 ) -> _Reference:
-    """Calibrate accelerometers from any poses, from six faces if there are no others, from the path if too few."""
+    """Calibrate the accelerometers from any poses; from the six faces if there are no other poses; from the path if
+    there are too few poses.
+    """
     poses = [pose for log in logs for pose in find_poses(log)]
     missing = missing_faces(read_poses(accelerometers[:1], poses)) if poses else None
     method = "gravity" if len(poses) >= MIN_POSES and missing is None else PATH
@@ -576,7 +590,9 @@ def _by_gravity(
 
 
 def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
-    """Calibrate the accelerometers by the paper's Appendix B, with directions by the calibrated accelerometers."""
+    """Calibrate the accelerometers by the paper's Appendix B. The directions are those of the calibrated
+    accelerometers, because a table may lean.
+    """
     all_poses = sorted(
         (*faces.fitted, *faces.checks),
         key=lambda pose: ("" if pose.log is None else str(pose.log.path), pose.phase.start_ns),

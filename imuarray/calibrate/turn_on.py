@@ -63,7 +63,8 @@ class TurnOnResult:
     with `in_run_freedom`; `p_value` the probability of a ratio at least as large if switching on does not change the
     bias, not corrected for many axes (`holm`). These are nan if the scatter within runs is not known.
     `slope_lsb_per_degc` is None without temperatures. `p_states` is the probability of a split at least as good by
-    chance; there is one state unless it is below 0.01, divided by the number of sensors. `apart` had a start-up fault.
+    chance; there is one state unless it is below 0.01, divided by the number of sensors. `apart` are the runs with a
+    start-up fault.
     """
 
     runs: SensorRuns
@@ -106,7 +107,9 @@ class TurnOnSeries(NamedTuple):
     results: tuple[TurnOnResult, ...]
 
     def plot(self) -> Figure:
-        """Plot bias changes by run with two standard errors, mg or dps; MissingExtraError without matplotlib."""
+        """Plot the change of the bias from run to run of every axis with two standard errors, in mg or dps;
+        MissingExtraError without matplotlib.
+        """
         return self.calibration.plot("turn_on")
 
     def __repr__(self) -> str:
@@ -228,7 +231,8 @@ def _fit_about(
     means: Floats, groups: Sequence[npt.NDArray[np.bool_]], warm: Floats | None
 ) -> tuple[Floats | None, Floats, int]:
     """Return the slope with temperature (3,), the standard deviation (3,) of run means (r, 3) about their groups and
-    that slope, and its degrees of freedom. The slope is None for too few runs or different temperatures.
+    that slope, and its degrees of freedom. The slope is None without temperatures, if they are all equal, or with too
+    few runs.
     """
     design = np.array(groups, float).T
     usable = warm is not None and np.ptp(warm) > 0 and len(means) > len(groups) + _FEWEST_RUNS - 1

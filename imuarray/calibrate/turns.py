@@ -189,7 +189,9 @@ def _force_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose
 
 
 def _response_before(sensor: SensorLog, calibration: SensorCalibration) -> tuple[Floats, Floats]:
-    """Return the prior inverse response (3, 3) in rad/s per count and its information (9, 9), measured or nominal."""
+    """Return the prior inverse response (3, 3) in rad/s per count and its information matrix (9, 9), row by row: as
+    measured before, or the data sheet's with its tolerance.
+    """
     si = SI_PER_UNIT[sensor.unit]
     covariance = calibration.response_covariance()
     if covariance is None:
@@ -208,7 +210,9 @@ def _fit(
     up_covariance: Floats,
     left_out: Sequence[Outlier],
 ) -> tuple[TurnFit, list[float], Floats]:
-    """Fit the response to all `turns` and the prior; return also each turn's error in rad and its probability."""
+    """Fit the response to all `turns` and the prior. Return the fit; for each turn the probability of an error at least
+    as large as its own; and the errors in radians with respect to the other turns.
+    """
     nominal, prior = response_prior
     inverse = nominal.copy()
     for _ in range(_ITERATIONS):
@@ -237,7 +241,9 @@ def _fit(
 
 
 def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covariance: Floats) -> Floats:
-    """Return the covariance (2 t, 2 t) of errors after turns: the gyroscope's noise, and directions at both ends."""
+    """Return the covariance (2 t, 2 t) of the errors after turns: the gyroscope's noise, and the errors of the
+    directions at both ends, which neighbouring turns share.
+    """
     answer = np.zeros((2 * len(turns), len(up_covariance)))
     for row, (turn, part) in enumerate(zip(turns, parts, strict=True)):
         ends = slice(3 * turn.place, 3 * turn.place + 6)
@@ -247,7 +253,9 @@ def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covari
 
 
 def _shifts(missed: Floats, projected: Floats, chi_squared: float, freedom: float) -> tuple[list[float], Floats]:
-    """Return each turn's error (t,) as a mean shift under the projected weights (2 t, 2 t), and its probability."""
+    """Return for each turn the probability of its error by the scatter of the others, and the error (t,): the mean
+    shift that explains it under the projected weights (2 t, 2 t).
+    """
     pulls = (projected @ missed).reshape(-1, 2)
     blocks = np.array([projected[row : row + 2, row : row + 2] for row in range(0, len(missed), 2)])
     alone = np.linalg.solve(blocks, pulls[:, :, None])[:, :, 0]
