@@ -1,13 +1,15 @@
 """Alignment of all sensor axes of one quantity to one time grid, as a pure function of the readings around it.
 
 `RowWindow` holds the rows of one sensor as long as they are required. `choose_grid` selects the times of the frames:
-those of a sensor read in mid-frame and, while it is silent, those of other sensors. `align` computes the frames.
+those of a sensor that is read in the middle of a frame and, while it is silent, those of other sensors. `align`
+computes the frames.
 
 Each sensor contributes its nearest reading within half a frame. A reading belongs to an instant some time before it was
 read; the change of the motion between that instant and the frame is removed with the slope of the array's own mean. The
-mean has much less noise than one sensor, so no reading is smoothed, and it is robust against a sensor that fails
-(`imuarray.fuse.least_squares.consensus`). Its derivatives are those of cubic splines that do not extend across gaps.
-Values are calibrated, in SI, along each sensor axis, with the bias at the temperature of the reading if that is known.
+noise of the mean is much smaller than that of one sensor, so no reading is smoothed by its neighbours, and the mean is
+robust against a sensor that fails (`imuarray.fuse.least_squares.consensus`). Its derivatives are those of cubic splines
+that do not extend across gaps. Values are calibrated, in SI, along each sensor axis, with the bias at the temperature
+of the reading if that is known.
 
 The slope m' of a spline through white noise has 1.18 times the standard deviation of the noise, per frame, and
 increases the variance of the mean of readings with the mean delay d, in frames, by ``9 (2 / sqrt 3 - 1) d^2`` of its
@@ -115,7 +117,9 @@ _TIE = 0.001
 
 @dataclass(frozen=True)
 class FrameGrid:
-    """Frame times: `order` are the numbers of the sensors that set them, the best first; `period_ns` is the spacing."""
+    """Times of frames: `order` are the numbers of the sensors that determine the times, the best first; `period_ns` is
+    the time between frames.
+    """
 
     order: tuple[int, ...]
     period_ns: float
@@ -138,7 +142,9 @@ class FrameGrid:
         return kept
 
     def _pauses(self, kept: Times) -> tuple[Times, Times]:
-        """Return begin and end (p,) of the pauses of `kept`, with the time before its first and after its last row."""
+        """Return begin and end (p,) of the pauses of `kept`; the time before its first row and after its last row
+        counts as a pause.
+        """
         edges = np.concatenate([[-FOREVER_NS // 2], kept, [FOREVER_NS // 2]])  # half, so that differences fit int64
         pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
         return edges[pauses], edges[pauses + 1]
@@ -155,7 +161,8 @@ class FrameGrid:
 
 
 def choose_grid(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> FrameGrid:
-    """Return the grid with the smallest mean delays, by the `first` rows of each sensor; FusionError for too few.
+    """Return the grid with the smallest mean delays, by the `first` rows (at most `FIRST_ROWS` of each sensor);
+    FusionError if there are too few.
 
     The correction for the delay of a reading uses a slope with noise, so the noise of a quantity grows with the mean
     delay of its sensors. The largest of these means over the quantities (`groups` of sensors) is minimised.
@@ -182,7 +189,9 @@ def _first_equal(times: Sequence[Times]) -> list[int]:
 
 
 def _period_ns(time: Times) -> float:
-    """Return the median period over two rows, because alternating order makes a sensor early and late in turn."""
+    """Return the median period over two rows: in frames that are read in alternating order, a sensor is alternately
+    early and late.
+    """
     return float(np.median(time[2:] - time[:-2])) / 2
 
 
@@ -236,7 +245,9 @@ def _are_rows(known: Times, at: Times) -> bool:
 
 
 def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floats]:
-    """Return first and second derivative (k, c) per second of rows (k, c) at times (k,) ns by splines; 0 outside."""
+    """Return first and second derivative (k, c) per second of rows (k, c) at their own times (k,) ns, by the splines of
+    `between_gaps`; zero outside the stretches.
+    """
     first, second = np.zeros(rows.shape[::-1]).T, np.zeros(rows.shape[::-1]).T
     for run in _stretches(known, rows, gap_ns):
         knots = (known[run] - known[0]) * 1e-9
@@ -249,7 +260,9 @@ def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floa
 
 
 def _spline(knots: Floats, rows: Floats) -> CubicSpline:
-    """Return the "not a knot" cubic spline of rows (k, c) at knots (k,), k > 1 (de Boor, Splines, 1978, chapter IV)."""
+    """Return the cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either
+    side of the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV).
+    """
     from scipy.interpolate import CubicSpline  # would add a third of a second to every command
 
     return CubicSpline(knots, rows)
@@ -382,7 +395,9 @@ def _set_on_grid(
 
 
 def _keep_in_nearest_frames(readings: Readings, grid: Times) -> None:
-    """Keep each reading in the nearest frame only: irregular frames may have it within half a frame of two of them."""
+    """Keep each reading of one sensor in the nearest frame only. Where frames are not regular, a reading may lie within
+    half a frame of two of them, and would count twice.
+    """
     late_ns, valid = readings.late_s * 1e9, readings.valid
     shared = np.flatnonzero(valid[1:] & valid[:-1] & (np.abs(np.diff(late_ns) + np.diff(grid)) < 0.5))
     if len(shared):
@@ -402,7 +417,9 @@ def _bias(unit: AlignedSensor, time: Times) -> Floats:
 def _clipped(
     unit: AlignedSensor, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]
 ) -> npt.NDArray[np.int8] | None:
-    """Return +1 or -1 (n, 3) for axes of saturated triads clipped at that end, 0 elsewhere; None without any."""
+    """Return the end of the range (n, 3), +1 or -1, of the clipped axes of triads flagged as saturated, 0 elsewhere;
+    None if no triad is flagged.
+    """
     flagged = (status & SATURATED) != 0
     if not flagged.any():
         return None

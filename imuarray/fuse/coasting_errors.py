@@ -8,9 +8,10 @@ gravity with height, which add less than 1 % in a minute, are neglected)::
     d tilt / dt     = C rate_error
     d velocity / dt = C force_error + tilt x (C force)
 
-with C the true attitude from box to that frame and `tilt` the small rotation from it to the navigator's. At rest C is
-the identity and C force is gravity's reaction g upwards, so that a constant rate error b about a level axis gives a
-tilt b t and a velocity g b t^2 / 2. Heading is the tilt about the vertical: box Z of an upright box.
+with C the true attitude from box to that frame and `tilt` the small rotation from the true attitude to that of the
+navigator. At rest C is the identity and C force is gravity's reaction g upwards, so that a constant rate error b about
+a level axis gives a tilt b t and a velocity g b t^2 / 2. Heading is the tilt about the vertical: about box Z of a box
+that stood upright.
 """
 
 from __future__ import annotations
@@ -111,7 +112,9 @@ def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_
 
 
 class _FrameBuffer:
-    """The part of a stream of frames that is in memory; it begins at `start_ns` and has a frame every `period_s`."""
+    """The part of a stream of frames that is in memory; the stream begins at `start_ns` and has a frame every
+    `period_s`.
+    """
 
     def __init__(self, blocks: Iterable[Errors]) -> None:
         self._blocks = iter(blocks)
@@ -154,7 +157,9 @@ class _FrameBuffer:
 def propagate(
     errors: Errors, rate_offset: Floats | float = 0.0, force_offset: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Integrate errors less offsets to the final tilt (3,) in rad and velocity (3,) in m/s, in the first frame."""
+    """Integrate errors less their offsets; return the final tilt (3,) in rad and velocity (3,) in m/s, in the box frame
+    of the first frame.
+    """
     seconds = (errors.time - errors.time[0]) * 1e-9
     turned = _attitudes(seconds, errors.rate).apply if errors.rate.any() else np.asarray
     tilt_rate = turned(errors.rate_error - rate_offset)

@@ -73,7 +73,9 @@ class Score:
 
 @dataclass(frozen=True)
 class TechniqueComparison:
-    """The scores of all techniques, and their errors of heading and velocity (empty unless both are fused)."""
+    """The scores of all techniques, and their errors of heading and velocity (empty unless both quantities are
+    fused).
+    """
 
     scores: tuple[Score, ...]
     coasting: Mapping[str, Coasting]
@@ -253,7 +255,9 @@ def _have_the_same_times(first: ErrorFrameSource, second: ErrorFrameSource) -> b
 
 
 def _squares_of(technique: str, quantity: str, average_errors: RowSource, technique_errors: RowSource) -> Floats:
-    """Return the sums (b, 6) of squared errors before and after in successive stretches; FusionError if too few."""
+    """Return the sums (b, 6) of squared errors before and after in successive stretches; FusionError if there are too
+    few errors.
+    """
     count = min(BLOCKS, len(technique_errors) // 2)
     if count < FEWEST_BLOCKS:
         counts_text = f"{len(technique_errors)} values of {quantity} with a truth"

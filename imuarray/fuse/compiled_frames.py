@@ -77,7 +77,8 @@ def nearest_readings(
 ) -> bool | None:
     """Set the readings of one sensor nearest to each time of the increasing `grid` (n,) from `rows`: time (k,), k > 0,
     counts (k, 3) and status (k,); the `factors` are bias and scale (3,) in counts. Return whether each valid reading is
-    in one frame only; None without compiled code, for other counts than int16, and for special flags.
+    in one frame only; None without compiled code, for counts that are not int16, and if a row in use has a special
+    flag.
     """
     time, counts, status = rows
     if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:
@@ -91,7 +92,9 @@ def nearest_readings(
 
 
 def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
-    """Return `consensus` (3, n) of valid `values` (m, n); `gain` (3, m) is of least squares. None if not compiled."""
+    """Return the `consensus` (3, n) of valid `values` (m, n) along `rows` (m, 3), in triads; `gain` (3, m) is that of
+    least squares. None without compiled code, for too many axes, and for axes that are not triads.
+    """
     if not COMPILED or len(rows) > _MOST_AXES or len(rows) % 3:
         return None
     inverse = np.linalg.inv(rows.reshape(-1, 3, 3))
@@ -133,7 +136,9 @@ def delay_noise(
 
 
 def spline_at(knots: Floats, rows: Floats, places: Floats) -> Floats | None:
-    """Return the spline of rows (k, c), k > 3, at knots (k,) at rising places (n,): (n, c). None if not compiled."""
+    """Return the spline through rows (k, c) at knots (k,) (`alignment._spline`) at increasing places (n,): (n, c). None
+    without compiled code, and for fewer than four knots.
+    """
     if not COMPILED or len(knots) < 4:
         return None
     widths, columns = np.diff(knots), np.ascontiguousarray(rows.T)
@@ -161,7 +166,9 @@ def _slopes(widths: Floats, columns: Floats) -> Floats:
 
 
 def quadratic(factors: Floats, triads: Floats) -> Floats | None:
-    """Return (6, n) quadratic functions of triads (3, n); `factors` (6, 10) of 1, x ... yz. None if not compiled."""
+    """Return the quadratic functions (6, n) of triads (3, n); `factors` (6, 10) are the factors of 1, x, y, z, xx, yy,
+    zz, xy, xz and yz. None without compiled code.
+    """
     if not COMPILED:
         return None
     result = np.empty((6, triads.shape[1]))

@@ -48,11 +48,13 @@ def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
 def element_temperatures(
     log: Log, sensors: Iterable[SensorLog], calibration: Calibration, *, of_all: bool = False
 ) -> dict[str, TemperatureSeries]:
-    """Return the temperature that each sensor's bias follows, after its lag: a row per 5 s or more.
+    """Return, by sensor, the temperature in degC that the bias of the sensor follows, after its lag: one row per 5 s,
+    or longer.
 
     The thermometer is the one that `calibrate thermal` uses: barometer, `/reference`, the chip's own thermometer, or
     that of another chip. Sensors without slopes or without a compatible thermometer are omitted; slopes from a
-    thermometer without a zero fit such a thermometer only. `of_all`: include sensors without slopes.
+    thermometer without a zero are compatible only with such a thermometer. `of_all`: include sensors without slopes,
+    without a lag.
     """
     sensors = list(sensors)
     slopes = {sensor.name: slopes_of(calibration, sensor) for sensor in sensors}
@@ -91,8 +93,9 @@ def _after_lag(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureS
 
 @dataclass(frozen=True)
 class TemperatureMismatch:
-    """Difference between the temperature of a log and that at which a sensor was calibrated: the calibration's, the
-    log's mean (degC), the rms difference, and the uncertainty of the bias (3,) in counts per degree.
+    """Difference between the temperature of a log and that at which a sensor was calibrated: the temperature of the
+    calibration and the mean temperature of the log (degC), the rms difference (degC), and the uncertainty of the bias
+    (3,) in counts per degC.
     """
 
     sensor: str
@@ -185,7 +188,9 @@ def mismatch_sentences(calibration: Calibration, mismatches: Mapping[str, Temper
 
 
 BAROMETER_S = 15.0
-"""Age in s of the barometer's rows that a frame uses; a recording releases rows only after later checks of the chip."""
+"""Age in s of the barometer's rows that a frame uses: a recording releases them only after later checks of the chip,
+and frames do not wait for that.
+"""
 
 TREND_S = 20.0
 """Time in s over which the trend is fitted: short compared with the minutes of a heating; extrapolation by 20 s
@@ -201,7 +206,9 @@ _MOST_SEGMENTS = 64
 
 
 class _Segment(NamedTuple):
-    """One segment: end, mean time (s) and degC, temperatures `behind` the lags (k,), and trend (degC/s) after it."""
+    """One segment: its end, the mean time of its rows (s), its mean (degC), the temperatures after the lags (k,) at
+    that time (`behind`), and the trend (degC/s) after it.
+    """
 
     end_s: float
     mid_s: float
@@ -213,7 +220,8 @@ class _Segment(NamedTuple):
 class CausalThermometer:
     """Temperatures of a stream of rows after the lags (k,), from rows that are at least `delay_s` old.
 
-    A time may be requested once all rows up to `delay_s` before it were added, in about ascending order.
+    A time may be requested once all rows up to `delay_s` before it were added, and not long after later times were
+    requested.
     """
 
     def __init__(self, lags_s: Sequence[float], delay_s: float = 0.0) -> None:
@@ -332,7 +340,8 @@ def causal_temperatures(
     all_sensors: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
 ) -> TemperatureSources:
     """Return element temperatures as `element_temperatures` does, from rows before a frame only: the barometer, the
-    chip's own thermometer, or that of another chip among `all_sensors`. A reference is known too late.
+    chip's own thermometer, or that of another chip among `all_sensors`. A reference is known only afterwards and not
+    used.
     """
     lags_by_source: dict[str, dict[str, float]] = {}
     for sensor in sensors:

@@ -46,7 +46,9 @@ class Consistency:
 
 
 def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None:
-    """Return the consistency of errors (n, 3) with covariances (n, 6), by blocks; None for fewer than twenty frames."""
+    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`), read block by block; None if
+    fewer than twenty frames have both.
+    """
     with RowSpool(3) as white:
         for error, covariance in zip(row_blocks(errors), row_blocks(covariances), strict=True):
             white.append(whitened(error, covariance))
@@ -67,7 +69,8 @@ def consistency_of(white: RowSource) -> Consistency | None:
 
 def whitened(errors: Floats, covariances: Floats) -> Floats:
     """Return errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), without rows
-    that are not finite or whose covariance is not positive definite. Written out, it takes a twentieth of the time.
+    that are not finite or whose covariance is not positive definite. It is written out for all frames at once, twenty
+    times as fast as a matrix routine.
     """
     errors, covariances = _finite(errors, covariances)
     xx, yy, zz, xy, xz, yz = np.ascontiguousarray(covariances.T)
@@ -115,7 +118,8 @@ def _freedom(white: RowSource, mean_square: float) -> float:
 
 
 def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]]:
-    """Yield a lag k > 0 and, from it up to `last`, the squared Frobenius norm of sum_i x(i) x(i + k)'.
+    """Yield a lag k > 0 and, for it and the lags that follow, up to `last`, the squared Frobenius norm of the sum over
+    i of x(i) x(i + k)'.
 
     Correlations of segments are products of their spectra (T. G. Stockham, "High-speed convolution and correlation",
     1966); the products of all pairs of segments at one distance are added up before the inverse transform. The shorter

@@ -50,7 +50,8 @@ class Error:
 
 
 def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, Error]:
-    """Return a result's errors against `/truth` (or `/reference`) by quantity, in `phases` (empty: all).
+    """Return the errors of a fused result with respect to `/truth` (or `/reference`) by quantity, inside `phases`
+    (empty: everywhere).
 
     FusionError if the log has neither.
 
@@ -68,7 +69,9 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
 
 
 class ErrorEvaluation:
-    """Errors of several results with respect to `/truth` (or `/reference`), stored on disk; a context manager."""
+    """Errors of several results with respect to `/truth` (or `/reference`), block by block, stored on disk. A context
+    manager.
+    """
 
     def __init__(self, log: Log, phases: Iterable[Phase] = ()) -> None:
         """Evaluate frames in `phases` (empty: all frames). FusionError if the log has neither truth nor reference."""
@@ -100,7 +103,9 @@ class ErrorEvaluation:
 
 
 def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
-    """Return the scatter (3,) in SI from frame to frame where a result is quietest, by quantity; needs no truth."""
+    """Return the scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity; it needs no
+    truth.
+    """
     noise = QuietNoise()
     for block in blocks:
         noise.add(block)
@@ -166,7 +171,9 @@ class MotionErrors:
 
 @dataclass(frozen=True)
 class ErrorFrames(MotionErrors):
-    """`MotionErrors` with the covariance (n, 6) that the result states (`frames.ENTRIES`; NaN if it states none)."""
+    """`MotionErrors` with the covariance (n, 6) that the fused result states (`frames.ENTRIES`; NaN if it states
+    none).
+    """
 
     covariances: Floats
 
@@ -178,7 +185,9 @@ class ErrorFrames(MotionErrors):
 def errors_of(
     log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
 ) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
-    """Return time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError if no truth."""
+    """Return time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError without a
+    truth.
+    """
     result = error_frames(log, blocks, phases)
     return {quantity: (frames.time, frames.errors) for quantity, frames in result.items()}
 
@@ -191,7 +200,9 @@ def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase]
 def error_frames_together(
     log: Log, blocks: Iterable[Mapping[str, FusedBlock]], phases: Iterable[Phase] = ()
 ) -> dict[str, dict[str, ErrorFrames]]:
-    """Return error frames by result and quantity from blocks of results with common frames. FusionError if no truth."""
+    """Return frames with errors, truth and covariances by the name of the result and by quantity, from blocks of all
+    results with the same frames. FusionError without a truth.
+    """
     track, stretches = _track_of(log), [(phase.start_ns, phase.end_ns) for phase in phases]
     result: dict[str, dict[str, list[ErrorFrames]]] = {}
     for together in blocks:
@@ -210,7 +221,9 @@ def error_frames_together(
 
 
 class ErrorFramesOnDisk:
-    """Frames with an error of several results, stored on disk; results with equal frames share times and truth."""
+    """Frames with an error of several results, block by block, stored on disk. Results with the same frames share
+    their times and their truth. A context manager.
+    """
 
     def __init__(self, log: Log, folder: Path | None = None) -> None:
         """Store the frames in temporary files, or in permanent files in `folder`. FusionError without a truth."""
@@ -265,7 +278,9 @@ def _track_of(log: Log) -> Track:
 def _errors_in(
     track: Track, stretches: Sequence[tuple[int, int]], together: Mapping[str, FusedBlock]
 ) -> Iterator[tuple[str, str, ErrorFrames]]:
-    """Yield technique, quantity and frames with an error in `stretches` (start and end in ns; empty: everywhere)."""
+    """Yield technique, quantity and the frames with an error, of one block of each technique, inside the `stretches`
+    (start and end in ns; empty: everywhere).
+    """
     time = next(iter(together.values())).time
     inside = np.ones(len(time), bool)
     if stretches:
@@ -310,7 +325,9 @@ def error_of(rows: RowSource) -> Error:
 
 
 class MotionSpool:
-    """Time (n,) in ns and true triad (n, 3) of frames in temporary files, or in named files. A context manager."""
+    """Time (n,) in ns and true triad (n, 3) of frames in temporary files, or in files whose names begin with a path. A
+    context manager.
+    """
 
     def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
         self._time, self._truth = (RowSpool(k, _named(path, name), mode) for name, k in (("time", 1), ("truth", 3)))
@@ -412,7 +429,9 @@ def _named(path: Path | None, name: str) -> Path | None:
 
 
 def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:
-    """Return the truth (n, 3) at `time` by quantity, by a cubic spline that follows a shaken box between rows."""
+    """Return the truth (n, 3) at `time` by quantity, for the quantities of the track, by a cubic spline through its
+    rows: a straight line would not follow a shaken box between rows.
+    """
     columns = {"specific_force": track.specific_force, "angular_rate": track.angular_rate}
     measured = {quantity: column for quantity in quantities if (column := columns[quantity]) is not None}
     first = max(0, first_at(track.time, int(time[0])) - _MARGIN)
@@ -435,7 +454,9 @@ FEWEST_BLOCKS = 5
 
 @dataclass(frozen=True)
 class Gain:
-    """Rms error in SI of the average and a technique along a box axis ("XYZ": the vector's length), and their ratio."""
+    """Rms error in SI of the average and of a technique along one box axis ("XYZ": the length of the error vector), and
+    their ratio with its standard error.
+    """
 
     technique: str
     quantity: str

@@ -122,7 +122,8 @@ ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 @dataclass(frozen=True)
 class Frames:
     """n frames of m axes: time (n,) ns and values (n, m) in SI along each axis; `valid` (n, m) is true if there is a
-    reading without a flag of doubt in a triad within its range (clipped readings are bounds).
+    reading that no flag marks as doubtful and whose triad is within its range (a clipped reading is a bound, not a
+    value).
 
     `clipped` (n, m) is +1 for an axis at the upper end of its range, -1 at the lower end, else 0; `stale` (n, m) is
     true if the chip had no reading newer than the one before. None: nowhere.
@@ -203,7 +204,8 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FusedBlock:
-    """n frames: time (n,) ns and, per quantity, the triad (n, 3) in SI, box frame (NaN where too few axes were valid).
+    """n frames: time (n,) ns and, per quantity, the fused triad (n, 3) in SI in the box frame (NaN where too few axes
+    were valid).
 
     `covariances` (n, 6), per quantity, are the entries `ENTRIES` of its error's covariance; `used` (n, s), per
     quantity, are the axes of each of its s sensors that contribute: 1 x, 2 y, 4 z. Both are empty if not computed.

@@ -56,7 +56,9 @@ _KINDS = MappingProxyType({"i": "int64", "f": "float", "u": "uint8"})
 
 @dataclass(frozen=True)
 class FusedHead:
-    """Description of a fused file: paths of `log` and `calibration`, and by quantity the `sensors` whose use it has."""
+    """Description of a fused file: `log` and `calibration` are the paths of the inputs, `sensors` the names, per
+    quantity, of the sensors whose use it records.
+    """
 
     technique: str
     log: str
@@ -88,7 +90,9 @@ def read_fused_head(path: str | PathLike[str]) -> FusedHead:
 
 
 def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
-    """Yield a file that `write_fused` wrote in blocks of `block` frames; LogError for a damaged or hostile file."""
+    """Yield the blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for a damaged or hostile
+    file.
+    """
     with fused_columns(path) as (_, columns):
         frames = rows_of(columns)
         for start in range(0, frames, block):
@@ -109,7 +113,9 @@ def read_fused_events(path: str | PathLike[str]) -> tuple[FusedEvent, ...]:
 
 @contextmanager
 def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], dict[str, NamedColumn]]]:
-    """Open a fused file: head texts and columns by name, checked. LogError for another, damaged or hostile file."""
+    """Open a fused file: the texts of its head, and its columns by name, `time` first, with the types and shapes of the
+    format. LogError for another, damaged or hostile file.
+    """
     with _opened(Path(path)) as file:
         try:
             with h5py.File(UnclosedFile(Path(path)), "r") as inspected:
@@ -200,7 +206,9 @@ _CHUNK = 16
 
 
 class FusedEvent(NamedTuple):
-    """One event of a sensor: `kind` of fault and `state` ("isolated", ...) as in `FaultEvent`, and a `message`."""
+    """One event of a sensor: `kind` of fault and `state` ("isolated", "readmitted", ...) as in `FaultEvent`, and the
+    `message` for the user.
+    """
 
     time_ns: int
     sensor: str
@@ -237,7 +245,9 @@ class StoredEvents:
 
 
 def events_in(file: h5py.File, place: str) -> tuple[FusedEvent, ...]:
-    """Return the events that are complete in every column, as after an interrupted write. LogError if unreadable."""
+    """Return the events that are complete in every column of a file: after an interrupted write some columns are longer
+    than others. LogError if they can't be read.
+    """
     group = file.get("events")
     if group is None:
         return ()
@@ -264,7 +274,9 @@ _SLACK_BYTES = 1 << 18
 """Bytes that HDF5 buffers or adds: a chunk of each column, and the index of the chunks."""
 
 _COMPRESSED: Mapping[str, Any] = MappingProxyType({"compression": "gzip", "compression_opts": 1, "shuffle": True})
-"""Storage of columns except triads, whose noise hardly compresses: a fifth of the time to save a fifth of space."""
+"""Storage of columns except triads: half of the bits of these are noise, and their compression would take a fifth of
+the time of a fusion to save a fifth of the space.
+"""
 
 _AT_ONCE = 1 << 14
 """Number of frames that are written at once, four chunks: a chunk that is written in parts is compressed repeatedly."""
@@ -300,7 +312,9 @@ COVARIANCE, USED = "_covariance", "_used"
 
 
 class FusedOrigin(TypedDict):
-    """Origin of a fused result: `epoch`, `technique`, paths of `log` and `calibration` ("" or missing: data sheets)."""
+    """Origin of a fused result: the `epoch` of its times, the `technique`, the paths of `log` and `calibration` ("" or
+    missing: data-sheet values).
+    """
 
     epoch: str
     technique: str

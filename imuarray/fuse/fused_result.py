@@ -1,4 +1,6 @@
-"""A fused log in memory: a specific force and an angular rate per frame, covariances, events, errors if known."""
+"""A fused log in memory: one specific force and one angular rate per frame with their covariances, events of sensors,
+and errors if the truth is known.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,9 @@ class FusedResult:
         return np.full_like(self._triad(quantity), np.nan) if covariance is None else np.sqrt(covariance[:, :3])
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> int:
-        """Write a fused fileas `imuarray fuse -o`, and return the frame count. OutputExistsError, OutputError."""
+        """Write a fused file, as `imuarray fuse -o` does, and return the number of frames. OutputExistsError,
+        OutputError.
+        """
         return write_fused(
             path,
             [self.frames],

@@ -73,7 +73,7 @@ def prepare_inputs(
     ranges: Ranges = NO_RANGES,
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> FusionInputs:
-    """Prepare `calibration` for the fusion of `log` by `technique` (None: any), `only` these sensors (empty: all).
+    """Prepare `calibration` for the fusion of `log` by `technique` (None: any), with `only` these sensors (empty: all).
 
     Biases become those of the states in which the sensors started, and sensors with a start-up fault are excluded; this
     includes a start in another range, for chips whose sensitivities by range are in `ranges`
@@ -143,7 +143,9 @@ _LARGE_CHANGE = 2 * RESPONSE_CHANGE
 
 
 def _large_changes(calibration: Calibration, before: Calibration) -> dict[float, list[str]]:
-    """Return the names of sensors by their change of response, if it is large and `before` does not state it."""
+    """Return the names of sensors by the change of their responses, for changes that are large and that `before` does
+    not state.
+    """
     names: dict[float, list[str]] = {}
     for name, sensor in calibration.sensors.items():
         change = sensor.response_change
@@ -175,7 +177,9 @@ def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:
 
 
 def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str], calibration_file: str) -> None:
-    """Raise FusionError if the calibration of this file has none of the inertial sensors of `log` (`only` these)."""
+    """Raise FusionError if a calibration, from the named file, contains none of the inertial sensors of `log` (`only`
+    these).
+    """
     fused = [sensor.name for sensor in _inertial(log, only)]
     if fused and not calibration.sensors.keys() & set(fused):
         raise FusionError(
@@ -187,7 +191,9 @@ def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str
 def _in_start_states(
     log: Log, calibration: Calibration, only: Sequence[str], ranges: Mapping[str, Mapping[float, float]]
 ) -> tuple[Calibration, list[str], Sequence[str]]:
-    """Return the calibration with the biases of start-up states, sentences on them, and the sensors to fuse."""
+    """Return the calibration with the biases of the states in which sensors started, sentences on these, and the
+    sensors to fuse.
+    """
     by_sensor = {name: ranges[sensor.chip] for name, sensor in log.sensors.items() if sensor.chip in ranges}
     adapted, starts = start_up_states(log, calibration, by_sensor)
     wrong = [name for name, start in starts.items() if start.fault]
@@ -235,7 +241,9 @@ WATCH = Watch()
 
 @dataclass(frozen=True)
 class Patience:
-    """Time that frames wait for rows of a sensor; `on_remark` receives sentences on time-outs and returns."""
+    """Time that frames wait for rows of a sensor; `on_remark` receives a sentence when a sensor times out, and when its
+    rows arrive again.
+    """
 
     timeout_s: float = TIMEOUT_S
     on_remark: Callable[[str], None] = lambda text: None
@@ -328,7 +336,9 @@ def live(
     watch: Watch = WATCH,
     patience: Patience = PATIENCE,
 ) -> FusionStream[FusedBlock]:
-    """Return a stream that fuses rows of `sensors` as they come, like `fuse` with `causal`. FusionError if too few."""
+    """Return a stream that fuses rows of `sensors` as they arrive, with the same result as `fuse` with `causal`.
+    FusionError if the sensors are not sufficient for the technique.
+    """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # the order in a log
     array = _Array(_by_quantity(sensors, only, "the array"), calibration, technique, watch)
     temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
@@ -340,7 +350,10 @@ def live(
 
 
 def aligned(log: Log, calibration: Calibration, *, only: Collection[str] = ()) -> Iterator[FrameBlock]:
-    """Yield the input of techniques: blocks of frames by quantity, and element temperatures by sensor. FusionError."""
+    """Yield the input of techniques from a log: blocks of frames by quantity, with the temperatures of elements by
+    sensor. FusionError if the log has no inertial sensors or too few rows, or if the calibration has none of its
+    sensors.
+    """
     array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True))
     return _replay(log, array.stream(lambda period_s: FramePipeline(), temperatures), BLOCK)
@@ -497,7 +510,9 @@ def _by_quantity(sensors: Sequence[_Sensor], only: Collection[str], where: str) 
 def _replay(
     log: Log, stream: FusionStream[_Out], block: int, progress: Progress = lambda share: None
 ) -> Iterator[_Out]:
-    """Push the rows of all sensors to the stream, about in order of time, and yield its output."""
+    """Push the rows of all sensors to the stream, about in order of time, so that none is far ahead of the others, and
+    yield its output.
+    """
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}

@@ -66,7 +66,9 @@ def _pairs(triads: Floats) -> Floats:
 
 
 _FIRST, _SECOND = [0, 1, 2, 3, 5, 10, 15, 6, 7, 11], [0, 4, 8, 12, 5, 10, 15, 9, 13, 14]
-"""Positions of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ among the 16 products of (1, X, Y, Z), in both orders."""
+"""Positions of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ among the 16 products of (1, X, Y, Z) with each other, and positions
+of the same products with the factors exchanged.
+"""
 
 _TWICE = np.array([0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 """1 for products of two different factors, which occur twice, else 0."""
@@ -88,7 +90,9 @@ class SlowErrors:
         """True if the covariance of any slow error is known."""
 
     def covariance(self, gains: Floats, triads: Floats) -> Floats:
-        """Return covariances (n, 6) (`frames.ENTRIES`) of triads (n, 3) with `gains` (n, 3, m), or (1, 3, m)."""
+        """Return covariances (n, 6) (`frames.ENTRIES`) of triads (n, 3) computed with `gains` (n, 3, m), or (1, 3, m)
+        for all.
+        """
         if len(gains) == 1:
             factors = entries(gains[0] @ self._terms @ gains[0].T)
             compiled = compiled_frames.quadratic(factors[_FIRST].T + factors[_SECOND].T * _TWICE, triads.T)
@@ -102,23 +106,29 @@ class SlowErrors:
 
 @dataclass(frozen=True)
 class AxisNoise:
-    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and what corrected delays subtract (None: no delays)."""
+    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and the noise of their mean that the correction of
+    delays subtracts (`Frames.delay_noise`; None: no delays).
+    """
 
     rows: Floats
     rms: Floats
     delay_noise: npt.NDArray[np.float32] | None = None
 
     def covariance(self, gains: Floats, used: Booleans) -> Floats:
-        """Return covariances (n, 6) by noise of triads of `used` axes (n, m) with `gains` (n, 3, m); (1, 6) for one."""
+        """Return covariances (n, 6) by noise of triads with `gains` (n, 3, m) of the axes `used` (n, m); (1, 6) if
+        there is one gain for all frames, and no delay.
+        """
         scatter = np.where(used[:, None, :], gains * self.rms, 0.0)
         covariance = entries(np.einsum("nim,njm->nij", scatter, scatter))
         return covariance if self.delay_noise is None else covariance + self.by_delays(gains)
 
     def by_delays(self, gains: Floats) -> Floats:
-        """Return the covariances' change (n, 6) by corrected delays, with `gains` (n, 3, m) or (1, 3, m).
+        """Return the change (n, 6) of the covariances of triads with `gains` (n, 3, m), or (1, 3, m) for all, by the
+        correction of delays.
 
         A triad becomes ``gains @ readings - M @ (noise of the slope)``, where M is the gain for readings along `rows`
-        that are as large as the shares of the noise. The first shares are those of the frame's own readings.
+        that are as large as the shares of the noise. The first shares are the weights of the frame's own readings in
+        the slope.
         """
         plain = whole_gain(np.ones(len(self.rows)), self.rows) * self.rms
         if self.delay_noise is None or not np.isfinite(plain).all():
@@ -146,7 +156,9 @@ class AxisNoise:
 
 
 def weighted(values: Floats, weights: Floats, noise: AxisNoise, slow: SlowErrors | None = None) -> Estimate:
-    """Solve least squares by frame with weights (n, m) or (1, m); the covariance includes `noise` and `slow` errors."""
+    """Solve weighted least squares for each frame, with weights (n, m), or (1, m) for all; the covariance includes the
+    `noise` and the `slow` errors of the axes.
+    """
     used = weights > 0
     triad, gains, solvable = _solved(values, weights, noise.rows)
     covariance = noise.covariance(gains, used[: len(gains)])
@@ -164,12 +176,16 @@ def whole_gain(weights: Floats, rows: Floats) -> Floats:
 
 
 def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
-    """Solve ``values = rows @ truth_box`` by weighted least squares to (n, 3), NaN where the axes do not span space."""
+    """Solve ``values = rows @ truth_box`` by weighted least squares for each frame: (n, 3), NaN where the axes do not
+    span space.
+    """
     return _solved(values, weights, rows)[0]
 
 
 def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
-    """Solve as `solve_frames`; return also gains and whether axes span space, per frame or once for equal weights."""
+    """Solve as `solve_frames`; return also the gains and whether the axes span space, of every frame, or once if all
+    frames have the same weights.
+    """
     gains, solvable = frame_gains(_distinct(weights), rows)
     if len(gains) == 1:
         triad = multiply_rows(values, gains[0].T) if solvable[0] else np.full((len(values), 3), np.nan)
@@ -233,7 +249,9 @@ _CONSENSUS_BYTES = 1 << 18
 
 
 def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> Floats:
-    """Return the robust mean (n, 3) of valid `values` (n, m) in SI along `rows` (m, 3); NaN if they span no space."""
+    """Return the robust mean (n, 3) of the valid `values` (n, m) in SI of axes along `rows` (m, 3), in triads; NaN
+    where they do not span space.
+    """
     gains, solvable = frame_gains(np.ones((1, len(rows))), rows)
     if solvable[0] and len(values):
         sound = np.asarray(valid.all(axis=1))
@@ -344,7 +362,9 @@ class FixedWeights:
         return replace(estimate, covariance_box=covariance)
 
     def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
-        """Return the gain (3, m) of frames whose readings are all valid, and the function from triads to estimate."""
+        """Return the gain (3, m) of frames whose readings are all valid, and the function from their triads to their
+        estimate.
+        """
         zeros = np.zeros((1, len(self.weights)))
         alone = weighted(zeros, self.weights[None], AxisNoise(self.rows, self.noise))
         gain = whole_gain(self.weights, self.rows)

@@ -78,7 +78,8 @@ class FusionOutput:
 class FusedFiles:
     """Writes fused frames, each to the file of the part that contains its time.
 
-    A log in parts RUN_001.h5,... has results RUN_001_fused.h5,..., or with another output FUSED_001.h5,...
+    For a log RUN.h5 in parts RUN_001.h5, RUN_002.h5, ... the results are RUN_001_fused.h5, ..., or, with another output
+    name, FUSED_001.h5, ...
     """
 
     def __init__(self, output: FusionOutput, *, epoch: str, sensors: Mapping[str, Sequence[str]]) -> None:

@@ -18,7 +18,9 @@ from imuarray.spelling import guess
 
 @dataclass(frozen=True)
 class LearnedBias:
-    """The slow error of an axis in m/s2 or rad/s, without errors of response, its deviation and the prior's."""
+    """The current slow error of one axis in m/s2 or rad/s along the axis, without errors of its response, with its
+    standard deviation and the prior one (`sd_before`).
+    """
 
     axis: str
     bias: float
@@ -82,7 +84,9 @@ class Pipeline(Protocol[Out_co]):
 
 
 PipelineFactory = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
-"""Creates a pipeline from axes by quantity and seconds between frames; FusionError if the axes do not suffice."""
+"""Creates a pipeline from the axes by quantity and the seconds from frame to frame; FusionError if the axes are not
+sufficient.
+"""
 
 
 class QuantityPipeline:

@@ -55,10 +55,14 @@ _FEWEST = 100
 """Least number of windows for an estimate."""
 
 _EXCITED = 1000.0
-"""Least variance of the stimulus along a direction over its noise, which hides changes in slower motions."""
+"""Least variance of the stimulus along a direction, in variances of its noise: in a slower motion, a change of
+`RESPONSE_CHANGE` is hidden by noise.
+"""
 
 _OUTLIER_SIGMAS, _OUTLIER_SHARE = 6.0, 0.05
-"""Limit of a window's parities in sigmas plus a share of the stimulus; above it is a fault, not a changed response."""
+"""Limit of the parities of a window, as a multiple of their noise plus a share of the stimulus: windows above it
+contain a fault and not a change of the response.
+"""
 
 _TAIL = 4.0
 """Degrees of freedom of the prior of a change, a Student's t with the standard deviation `RESPONSE_CHANGE`."""
@@ -145,7 +149,9 @@ def _estimate_change(sensors: Sequence[Calibrated], stretches: Sequence[_Windows
 
 
 class _Geometry(NamedTuple):
-    """Matrices of m axes: `parity` (m - 3, m), `gain` (3, m) of weighted least squares, and the triad's covariance."""
+    """Matrices of m axes: `parity` (m - 3, m) and `gain` (3, m) of weighted least squares, from readings in SI, and
+    the covariance (3, 3) of the triad, for parities with noise of unit variance.
+    """
 
     parity: Floats
     gain: Floats
@@ -153,7 +159,9 @@ class _Geometry(NamedTuple):
 
 
 def _geometry(sensors: Sequence[Calibrated]) -> _Geometry | None:
-    """Return the geometry of the axes, weighted by noise of window means if known; None if they do not span space."""
+    """Return the geometry of the sensors' axes, weighted by the noise of window means if all is known; None if they do
+    not span space.
+    """
     noises = [
         None if known.noise_lsb is None else known.noise_lsb / known.lsb_per_si / np.sqrt(sensor.rate_hz or 1.0)
         for sensor, known in sensors
@@ -224,14 +232,18 @@ def _stretches(known: Sequence[Calibrated]) -> Iterator[_Windows]:
 
 
 _SLOW_RATE = 0.1
-"""Largest angular rate in rad/s at which centimetres between accelerometers matter by less than 1e-4 of gravity."""
+"""Largest angular rate in rad/s, in a window and in its neighbours, at which accelerometers that are some centimetres
+apart differ by less than a ten-thousandth of gravity.
+"""
 
 _FEWEST_OF_STRETCH = 20
 """Least number of windows of a part of the log that is used."""
 
 
 class _SoundWindows(NamedTuple):
-    """Windows of a part of the log: parities (n, m - 3), stimulus (n, 3) and its changes (n, 3), less their means."""
+    """Windows of a part of the log: parities (n, m - 3), stimulus (n, 3) and its change (n, 3) from window to window,
+    less their means.
+    """
 
     parities: Floats
     stimulus: Floats
@@ -251,7 +263,9 @@ def _sound_windows(values: Floats, geometry: _Geometry) -> _SoundWindows:
 
 
 def _noise_of(parities: Floats) -> Floats:
-    """Return the noise of parities (n, k) as rms, by second differences, which slow motion does not affect."""
+    """Return the standard deviations of the noise of parities (n, k), by second differences, which slow motion does not
+    affect.
+    """
     return np.asarray(np.sqrt(np.median(np.diff(parities, 2, axis=0) ** 2, axis=0) / MEDIAN_SQUARE / 6))
 
 
@@ -264,7 +278,9 @@ def _excited(stimulus: Floats, noise_covariance: Floats) -> Floats:
 
 
 def _expected_change(shown: Floats, unchanged: Floats, per_change2: Floats) -> float:
-    """Return the root of the expected square of a change; `shown` (p,) has ``unchanged + change^2 per_change2``."""
+    """Return the root of the expected square of a change, if `shown` (p,) is normal with covariance ``unchanged +
+    change^2 per_change2``.
+    """
     size = np.sqrt(np.diag(unchanged + RESPONSE_CHANGE**2 * per_change2))
     scale = np.outer(size, size)
     covariances = (unchanged + _CHANGES[:, None, None] ** 2 * per_change2) / scale

@@ -1,4 +1,6 @@
-"""Frames and rows in temporary files, so that results of a log, and a second pass, need no growing memory."""
+"""Blocks of frames and rows of numbers in temporary files, so that results of a whole log, and a second pass over it,
+need no memory that grows with it.
+"""
 
 from __future__ import annotations
 

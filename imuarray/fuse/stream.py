@@ -1,10 +1,12 @@
 """Fusion of rows as they arrive, sensor by sensor, in pieces of any length.
 
 A frame is fused as soon as no later row can change it: it waits for the rows of all sensors up to some frames after it.
-A sensor that is silent for longer than a time-out is ignored until its rows arrive again.
+A sensor that is silent for longer than a time-out is ignored; the array is fused without it until its rows arrive
+again.
 
 Direct combination is a fast path for blocks in which every reading was taken at the time of its frame, none is in
-doubt, and the technique gives the axes the same weights in every frame. The result is one matrix times the counts.
+doubt, and the technique gives the axes the same weights in every frame. The result is then one matrix times the counts,
+less a constant.
 
 `AxisOffsets` handles frames that lack a reading. Without a calibration, or with an old one, the mean of an array
 contains the mean of the biases of its sensors. In a frame without a reading of one of m axes the mean would therefore
@@ -182,7 +184,9 @@ class SensorGroup:
 
 
 class FusionStream(Generic[Out]):
-    """Fuses rows as they are pushed; `finish` returns the rest. The size of the pieces does not matter."""
+    """Fuses rows as they are pushed; `finish` returns the rest. The result does not depend on the size of the
+    pieces.
+    """
 
     def __init__(
         self,

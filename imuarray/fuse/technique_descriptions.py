@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 class TechniqueDescription(NamedTuple):
     """A description of what a technique does (`about`). For one that changes the average only on some arrays, also the
-    beginning of a sentence on the sensors or axes concerned (`effect`), and one on others (`no_effect`).
+    beginning of a sentence on the sensors or axes concerned (`effect`), and a sentence on arrays without any
+    (`no_effect`).
     """
 
     about: str

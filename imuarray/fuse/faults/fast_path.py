@@ -40,7 +40,9 @@ _UNEVEN = 1e-6
 
 
 class DriftCheck(NamedTuple):
-    """The `limits` of drifts, the `first` window of a series to check, and `every` how many windows a check follows."""
+    """The `limits` of drifts, the number of the `first` window of a series before which they are checked, and the
+    number `every` of windows from one check to the next.
+    """
 
     limits: DriftLimits
     first: int
@@ -50,7 +52,8 @@ class DriftCheck(NamedTuple):
 class WindowSeries:
     """k consecutive windows of n frames of m axes with known noise: `variance` (m,) of single readings.
 
-    `time` (k, n) ns, `values` (k, n, m) in SI; axes `out` (m,) are excluded, `white` is the others' parity space.
+    `time` (k, n) ns, `values` (k, n, m) in SI; the axes `out` (m,) are excluded, `white` is the parity space of the
+    others.
     """
 
     def __init__(
@@ -121,7 +124,9 @@ class WindowSeries:
 
 
 def _moments(triad: Floats, along: Floats) -> Floats:
-    """Return sums (k, m, 5, 5) over frames of products of (1, triad, slope): triads (k, n, 3), slopes (k, n, m)."""
+    """Return sums (k, m, 5, 5) over the frames of the products of (1, triad, slope along the axis), from triads (k, n,
+    3) and slopes (k, n, m).
+    """
     windows, frames, axes = along.shape
     result = np.empty((windows, axes, STATES, STATES))
     common = np.concatenate([np.ones((windows, frames, 1)), triad], axis=2)

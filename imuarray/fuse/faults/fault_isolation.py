@@ -1,4 +1,5 @@
-"""Fault isolation for one quantity: which sensors are excluded in each window, why, and until when.
+"""Fault isolation for one quantity: which sensors are excluded in each decision window, why, and when they are
+readmitted.
 
 The decisions use the hypotheses of `imuarray.fuse.faults.hypotheses` and two kinds of evidence from single sensors.
 `Silence` counts the windows in which a sensor is missing or excluded by the log's flags, until they are reported.
@@ -128,7 +129,9 @@ class _Runs:
         self._windows += windows
 
     def __call__(self, shows: Booleans, judged: Booleans) -> Booleans:
-        """Return (s,) the sensors with the property in this window and the one before, if that is unusual for them."""
+        """Process a window and return (s,) the sensors that show the property in it and in the one before, if that is
+        unusual for them.
+        """
         usual = self._by_itself > _RARE * self._windows
         ended = ~shows & judged
         self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
@@ -206,7 +209,9 @@ class FaultIsolation:
         return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
 
     def advance(self, stretch: WindowSeries, windows: range) -> int:
-        """Process the windows of these numbers in `stretch` up to the first unusual one, and return its number."""
+        """Process the next windows, which have these numbers in `stretch`, up to the first unusual one, and return
+        their number: 0 if the first is unusual.
+        """
         if self._silence.any or self._still.any or not all(exclusion.named for exclusion in self._out):
             return 0
         before_baseline = _BASELINE_WINDOWS - 1 - self._count % _BASELINE_WINDOWS
@@ -227,7 +232,9 @@ class FaultIsolation:
         return passed
 
     def __call__(self, window: DecisionWindow, masks: Sequence[Booleans]) -> None:
-        """Process the next window; set `masks` (m,) of it (the last) and of the one before to True for excluded axes"""
+        """Process the next window; set the excluded axes to True in `masks` (m,): the last mask is that of this window,
+        the one before it that of the window before.
+        """
         if not self._normal.begun:
             self._normal.begin(window.changes)
         self._count += 1
@@ -262,7 +269,9 @@ class FaultIsolation:
                 self.report.isolated(exclusion, exclusion.first)
 
     def _search(self, window: DecisionWindow, time_ns: int) -> tuple[WindowResiduals | None, Booleans]:
-        """Exclude suspects until the others agree. Return the residuals (None: too few left) and suspect axes (m,)."""
+        """Exclude one suspect after the other until the other axes agree. Return the residuals of the window by the
+        axes in use (None: these are too few), and the axes (m,) of sensors with a fault that is not isolated.
+        """
         none = np.zeros(len(self._axes), bool)
         for _ in range(_MOST):
             seen = self._residuals(window)
@@ -338,7 +347,9 @@ class FaultIsolation:
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
     def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: DecisionWindow) -> None:
-        """Determine and report a fault's kind one window after its detection; a stuck sensor is excluded."""
+        """Determine and report the kind of a fault one window after its detection, when it fills a window. A sensor
+        that is stuck or measures in another range is excluded as a whole.
+        """
         agrees = agreeing(seen, self._normal, window.present)[list(exclusion.axes)].all()
         is_over = agrees and not self._still.standing[exclusion.sensor]
         now = None if is_over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, seen, window)
@@ -353,7 +364,9 @@ class FaultIsolation:
         self.report.isolated(exclusion, exclusion.kind)
 
     def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: DecisionWindow, drifted: float) -> Booleans:
-        """Count windows with a fault that is not isolated, report it if it lasts, and return the suspect axes (m,)."""
+        """Count the windows with a fault that is not isolated, and report it if it lasts. Return the axes (m,) of the
+        sensors that may have it.
+        """
         sensor = suspect.axes[0] // 3
         among = sorted({sensor, *suspect.rivals})
         count, last = self._doubts.get(among[0], (0, -_FORGOTTEN_WINDOWS))

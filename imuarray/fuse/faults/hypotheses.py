@@ -110,7 +110,9 @@ def compare_triad(
 
 
 def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:
-    """Return the chip's range that explains the ratio of readings (or scatter), and its factor; None if none does."""
+    """Return the range of the chip that explains the ratio of a triad's readings (or, without a signal, of its
+    scatter), and the factor of that range; None if there is none.
+    """
     table = ranges.get(axis.chip, {})
     configured = min(table, key=lambda span: abs(span * unit_si - axis.range_si), default=0.0)
     factors = {span: table[span] / table[configured] for span in table if table[span] != table[configured]}
@@ -186,7 +188,9 @@ _MARGIN_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Suspect:
-    """The best hypothesis: axes, gain over no fault, test, and sensors that explain the window nearly as well."""
+    """The best hypothesis: its axes (indices), its gain over no fault, the test, and the sensors (numbers) that explain
+    the window nearly as well (empty: it is isolated).
+    """
 
     axes: tuple[int, ...]
     gain: float
@@ -197,7 +201,8 @@ class Suspect:
 def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 0.0) -> Suspect | None:
     """Return the most likely fault of a window, None if it shows none.
 
-    `disagreement` is the variance of single readings (SI) by which sensors differ beyond noise in this window.
+    `disagreement` is the variance of single readings (SI) by which the sensors differ from each other beyond noise in
+    this window.
     """
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)
@@ -233,10 +238,12 @@ _USUAL_READING = 9.0
 
 def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
     """Return the variance (SI) of single readings by which at least half of the sensors differ from the others in this
-    window, beyond noise, on average or in one frame; 0 if fewer do, infinite if too few have three readings.
+    window, beyond noise, on average or in one frame; 0 if fewer do, infinite if too few have three complete readings,
+    for example if most clip.
 
     Chips sample a knock, or motion that is too fast for the rate of the rows, at different times, so that all of them
-    disagree at once; a knock may end within one frame. The median ignores one faulty sensor of four.
+    disagree at once; a knock may end within one frame. One faulty sensor of four or more does not contribute, because
+    each is compared with the median.
     """
     shown: Booleans = np.asarray((seen.residual != 0).T.reshape(-1, 3, len(seen.triad)).all(axis=1))  # (s, n)
     used: Booleans = np.asarray(seen.included.reshape(-1, 3).any(axis=1))
@@ -267,7 +274,8 @@ _CERTAIN_MOTION = 100.0
 
 
 def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
-    """Return the variance (SI) of single readings by motion too fast for the rows' rate; 0 without any.
+    """Return the variance (SI) of single readings by motion that is too fast for the rate of the rows; 0 if there is no
+    such motion.
 
     A reading that is late by `DELAY_S` is off by that times the slope of the motion. In rows T apart, a sine of
     frequency f has first differences with a mean square of ``2 sin(pi f T)^2`` and second differences with ``(2 sin(pi
@@ -288,7 +296,8 @@ def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
 
 def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     """Return the limit (m,) of the energy of noise of this `colour` (m,). The share `lasting` (m,) of the variance, the
-    uncertainty of the calibration, may be one error of all readings, of at most 7 sigmas.
+    uncertainty of the calibration, may be the same error in all readings of the window, of at most 7 standard
+    deviations.
     """
     nats = _ENERGY_NATS * colour
     by_noise = frames + 2 * np.sqrt(frames * nats) + 2 * nats
@@ -296,7 +305,9 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
 
 
 def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
-    """Return the hypothesis for means: the sensor with the greatest gain, or its one axis with nearly all of it."""
+    """Return the hypothesis for the means: the sensor with the greatest gain, or its one axis with nearly all of that
+    gain.
+    """
     best = int(sensor.argmax())
     members = np.arange(3 * best, 3 * best + 3)
     item = int(members[axis[members].argmax()])
@@ -391,7 +402,9 @@ class Baseline:
         self._seen += included * times
 
     def _shares(self, begun: Booleans, usual: Floats, normal: NormalModel) -> tuple[Floats, Floats, Floats] | None:
-        """Return each axis' drift over its limit, drift and limit, (m,); None if axes that have `begun` are too few."""
+        """Return the drift of each axis over its limit, the drift, and the limit, all (m,); None if the axes that have
+        `begun` do not determine a triad.
+        """
         space = self._spaces(begun.astype(float))
         if space is None or self._state is None or self._covariance is None:
             return None
@@ -403,7 +416,9 @@ class Baseline:
         return np.where(space.observable, np.abs(departure) / allowed, 0.0), departure, allowed
 
     def reset(self, axis: int, normal: NormalModel) -> None:
-        """Reset an axis in `normal` to its initial one: a drift beyond its limit is not a calibration error."""
+        """Reset the state of an axis in `normal` to its initial one: a drift beyond its limit is not a calibration
+        error.
+        """
         if self._state is not None and self._covariance is not None:
             normal.state[axis], normal.covariance[axis] = self._state[axis], self._covariance[axis]
 

@@ -134,7 +134,9 @@ class FaultMonitor:
         return self._release(held, max(0, len(self._masks) - 1))
 
     def finish(self) -> Frames | None:
-        """Return the remaining frames or None; after the last whole window they lack the axes excluded at the end."""
+        """Return the remaining frames; None if there are none. Frames after the last whole window are without the axes
+        that are excluded at the end.
+        """
         if self._held is None or not len(self._held.time):
             return None
         self._isolation.close()
@@ -177,7 +179,9 @@ class FaultMonitor:
 
 
 def _sound(frames: Frames, first: int, windows: int, length: int) -> Booleans:
-    """Return (k,) windows of `length` frames from row `first` with all readings and no triad that is always stale."""
+    """Return (k,) the windows of `length` frames, from the row `first` on, in which every reading is present and no
+    triad is always stale.
+    """
     rows = slice(first, first + windows * length)
     sound: Booleans = np.asarray(frames.valid[rows].reshape(windows, -1).all(axis=1))
     if frames.stale is not None and frames.stale[rows].any():
@@ -243,7 +247,9 @@ class MonitoredPipeline(Generic[Out]):
         yield from self._pass_on(released)
 
     def _rate_box(self, frames: Mapping[str, Frames]) -> Floats | None:
-        """Return the angular rate (n, 3) of the box, which acts through lever arms; None if not known or needed."""
+        """Return the angular rate (n, 3) of the box, which affects sensors at different positions; None if not known or
+        not required.
+        """
         if _RATE not in frames or not self._has_lever_arms:
             return None
         part = frames[_RATE]

@@ -1,4 +1,5 @@
-"""Decision windows of an array: readings, parity residuals, size effect, and each axis' normal behaviour.
+"""Decision windows of an array: their readings, their parity residuals, the size effect, and the normal behaviour of
+each axis.
 
 The parity space of an array is the part of its readings that no motion of the box can explain. Readings of one instant
 are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an excluded axis), ``A = W - W rows
@@ -42,7 +43,9 @@ BIAS_SI: Mapping[str, float] = MappingProxyType(
 large (Tables 3 and 4 of the paper; BMA-112, ADX-60, L3G-70)."""
 
 RESPONSE = 0.04
-"""Standard deviation of errors of response: 2 % of scale, or degrees of misalignment (BMA-119, ADX-66; paper 5.2.1)."""
+"""Standard deviation of each error of response: 2 % of scale and, for uncalibrated units, some degrees of misalignment
+(BMA-119, ADX-66; the boards of the paper's section 5.2.1).
+"""
 
 DELAY_S = 0.003
 """Standard deviation of the delay between the filters of two chips."""
@@ -158,7 +161,9 @@ class NormalModel:
         return np.asarray((regressors @ self.state[:, :, None])[..., 0].T)
 
     def jitter(self, regressors: Floats) -> Floats:
-        """Return the mean variance (m,) of a window's readings, regressors (m, n, 5), by the unknown part of age."""
+        """Return the mean variance (m,) of single readings of a window, with regressors (m, n, 5), by the unknown part
+        of their age.
+        """
         return self.jitter_of((regressors[..., 4] ** 2).mean(axis=1))
 
     @staticmethod
@@ -171,7 +176,9 @@ class NormalModel:
         return np.asarray(((self.covariance @ regressors[:, :, None])[..., 0] * regressors).sum(axis=1))
 
     def doubt_within(self, centred: Floats) -> Floats:
-        """Return the mean variance (m,) by uncertain states; `centred` are regressors (m, n, 5) less their mean."""
+        """Return the mean variance (m,) by the states' uncertainty within a window; `centred` (m, n, 5) are regressors
+        less their mean.
+        """
         return np.asarray(((centred @ self.covariance) * centred).sum(axis=(1, 2)) / centred.shape[1])
 
     def age(self, which: Booleans) -> None:
@@ -243,7 +250,8 @@ def slopes(time: Times, triads: Floats) -> Floats:
 
 def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats) -> Floats:
     """Return the specific force (n, m) along axes `rows` (m, 3) at `positions_m` (m, 3) less that at the origin, in
-    m/s2, of a box that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). NaN counts as 0.
+    m/s2, of a box that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). Unknown rates
+    (NaN) count as 0.
     """
     rate = np.nan_to_num(rate_box)
     turning = slope(time, rate)[:, None, :]
@@ -265,12 +273,16 @@ class Parity:
 
     @cached_property
     def deleted(self) -> Floats:
-        """Matrix (m, m) of deleted residuals: each axis less its prediction from all others; 0 for invisible errors."""
+        """Matrix (m, m) of the deleted residuals: each axis less its prediction from all others; 0 for an axis whose
+        error is not visible.
+        """
         size = np.where(self.observable, self.matrix.diagonal(), 1.0)
         return np.asarray(np.where(self.observable[:, None], self.matrix / size[:, None], 0.0))
 
     def axis_gains(self, errors: Floats) -> Floats:
-        """Return twice the log-likelihood ratio (m,) of an error in one axis, `errors` (m,): one degree of freedom."""
+        """Return twice the log-likelihood ratio (m,) of an error in one axis, for `errors` (m,): one degree of
+        freedom.
+        """
         residuals = self.matrix @ errors
         return np.asarray(
             np.where(self.observable, residuals**2 / np.where(self.observable, self.matrix.diagonal(), 1.0), 0.0)
@@ -288,7 +300,9 @@ class Parity:
 
 
 def parity(rows: Floats, weights: Floats) -> Parity | None:
-    """Return the parity space of axes `rows` (m, 3) with `weights` (m,); None if these axes do not span space."""
+    """Return the parity space of axes `rows` (m, 3) with `weights` (m,); None if the weighted axes do not span
+    space.
+    """
     weighted = rows * weights[:, None]
     normal = weighted.T @ rows
     if not spans(normal):
@@ -306,7 +320,8 @@ _KEPT = 1024
 
 class Spaces:
     """Parity spaces of one set of axes, and the gains of frames that lack readings. The results for the last weights
-    are cached: weights change only when a sensor is excluded, and gaps are the same in every window.
+    are cached: weights change only when a sensor is excluded, and sensors of different rates leave the same gaps in
+    every window.
     """
 
     def __init__(self, rows: Floats) -> None:
@@ -441,7 +456,9 @@ def window_residuals(
 
 @dataclass(frozen=True)
 class _FrameSolution:
-    """Least-squares solution of frames: `gains` (n, 3, m), or common (3, m), and whether each is `observable` (n,)."""
+    """Least-squares solution of the frames of a window: `gains` (n, 3, m), or (3, m) if all frames have the same, and
+    whether the readings of each frame determine a triad, `observable` (n,).
+    """
 
     gains: Floats
     observable: Booleans
@@ -454,7 +471,9 @@ class _FrameSolution:
         return cls(*spaces.gains(valid, weights))
 
     def __call__(self, values: Floats) -> Floats:
-        """Return the triads (n, 3) of values (n, m), 0 if not valid; a frame without a triad gets the one before."""
+        """Return the triads (n, 3) of values (n, m), which are 0 if not valid; a frame without a triad gets that of the
+        frame before.
+        """
         if self.gains.ndim == 2:
             return np.asarray(values @ self.gains.T)
         triad: Floats = np.einsum("nim,nm->ni", self.gains, values)

@@ -77,7 +77,9 @@ class Dynamics:
         frames: slice,
         evidence: SegmentEvidence | None = None,
     ) -> None:
-        """Solve the triads of `readings` in `frames`, widen their covariances by the change; add them to `evidence`."""
+        """Solve the triads of `readings`, which are `frames` of the solution, increase their covariances by the effect
+        of the change, and add them to the `evidence`.
+        """
         packed = view.packed
         if packed is None or not self._solve_alike(view, packed, readings, solution.part(frames), evidence):
             solve(view, readings, solution, frames)
@@ -131,7 +133,9 @@ class Dynamics:
     def __call__(
         self, view: SegmentView, readings: FrameReadings, solution: FrameSolution, frames: slice
     ) -> Floats | None:
-        """Increase the covariances of frames by the change; return weights (n,) for slow errors, None if all are 1."""
+        """Increase the covariances of frames by the effect of the change. Return the weights (n,) of the frames for
+        slow errors; None if all are 1.
+        """
         if not self._worst or not len(readings.time):
             return None
         changes = self._changes(readings.time, solution.unknowns[frames, :3])
@@ -163,7 +167,9 @@ _KEPT = 1024
 
 
 class _RegressionSums:
-    """Sums over frames: products of (1, stimulus) (`squares`), with readings (`products`), covariances (`blur`)."""
+    """Sums over the frames with the same rows in use: of the products of (1, stimulus) with itself (`squares`) and with
+    the readings (`products`), and of the stimulus's covariances, which the squares include (`blur`).
+    """
 
     def __init__(self, terms: int, rows: int) -> None:
         self.squares = np.zeros((terms, terms))
@@ -234,7 +240,9 @@ class SegmentEvidence:
         return rows, values
 
     def _fair(self, valid: Booleans, triad: Floats, used: Booleans) -> Booleans:
-        """Return the readings (n, r) to use: in frames with a triad, of axes not near the ends of their range."""
+        """Return the readings (n, r) to use: of frames with a triad, and of axes that are not near the ends of their
+        range.
+        """
         solved = np.asarray(used.any(axis=1))
         if not solved.all():
             valid = valid & solved[:, None]
@@ -261,7 +269,9 @@ def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse
 
 
 def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:
-    """Roots of sizes (c,) and weights (c, terms) of independent components of (1, stimulus), without its own noise."""
+    """Roots of the sizes (c,), and weights (c, terms), of the independent components of the sums of (1, stimulus),
+    after subtraction of the contribution of the stimulus's own noise.
+    """
     if len(sums.squares) == 1:
         return np.sqrt(sums.squares[0]), np.ones((1, 1))
     squares = sums.squares.copy()
@@ -295,7 +305,9 @@ class SegmentEnds:
         self.starts = True
 
     def parts(self, frames: int) -> Iterator[tuple[slice, bool, bool]]:
-        """Yield the pieces of the next `frames` in one segment: frames, whether a segment starts and ends there."""
+        """Yield the pieces of the next `frames` within one segment: the frames, whether a segment starts with them, and
+        whether it ends with them.
+        """
         at = 0
         while at < frames:
             size = min(self._left, frames - at)
@@ -309,7 +321,9 @@ class SegmentEnds:
 
 
 class ArrayFilter:
-    """Estimates slow errors of one quantity and triads of consecutive blocks; `record` gets each segment's step."""
+    """Estimates the slow errors of the rows of one quantity and the triads of consecutive blocks of frames; `record` is
+    called with the step of every segment.
+    """
 
     def __init__(
         self,
@@ -331,7 +345,9 @@ class ArrayFilter:
         self._step = (self.belief, np.ones(len(states.names)), np.zeros(len(states.names)))
 
     def __call__(self, readings: FrameReadings, warmer: Callable[[int], Floats]) -> FrameSolution:
-        """Solve the next frames; `warmer` returns temperatures (r,) above those of the biases at a block's frame."""
+        """Solve the next frames; `warmer` returns the temperatures (r,) of the rows above those of their biases at a
+        frame of the block.
+        """
         solution = FrameSolution.empty(len(readings.time), self.geometry)
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)
@@ -369,7 +385,9 @@ _HELD_BYTES = 1 << 20
 
 
 class Spool:
-    """A stack of groups of arrays, the last in memory, others as rows of numbers in a temporary file."""
+    """A stack of groups of arrays, the last ones in memory and the others in a temporary file, which is deleted with
+    the object. A group is stored as one row of numbers.
+    """
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool

@@ -24,7 +24,9 @@ from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patt
 from imuarray.fuse.optimal.states import Drift, Gaussian, StateResponse
 
 _TOLERATED = 0.1
-"""Largest relative change of a row's variance by the stimulus with the nominal gain; the loss is of second order."""
+"""Largest relative change of the variance of a row by the stimulus in a frame with the nominal gain; the loss by a
+slightly wrong gain is of second order.
+"""
 
 
 class NominalGain(NamedTuple):
@@ -248,7 +250,9 @@ def _joint(covariance: Floats, clipped: ClippedReadings) -> Floats:
 
 
 _CERTAIN = 5.0
-"""Distance of the expectation beyond the bound, in sigmas, at which a clipped axis contains no information."""
+"""Distance of the expectation beyond the bound, in standard deviations, at which a clipped axis contains no
+information: it changes the mean by 1.5e-6 standard deviations.
+"""
 
 
 @dataclass(frozen=True)
@@ -325,7 +329,9 @@ def _solve_odd(
 
 
 def _informative(view: SegmentView, bounds: Bounds, which: Indices | slice, into: FrameSolution) -> Booleans:
-    """Return (n, m) the clipped axes of these frames whose bounds inform: those not expected far beyond."""
+    """Return (n, m) the clipped axes of these frames whose bounds contain information: those that are not expected far
+    beyond the bound.
+    """
     ends = bounds.ends[which]
     informative: Booleans = np.asarray(ends != 0)
     frames = np.flatnonzero(informative.any(axis=1))

@@ -32,7 +32,9 @@ _WIDER = 1.05
 """Least ratio of two ranges of which the larger one counts as wider."""
 
 _NEAR = 3.0
-"""Distance from the bound, in sigmas, within which readings are biased and not used for slow errors."""
+"""Distance from the bound, in standard deviations, within which readings are not used to estimate slow errors: there,
+the readings that are not clipped are biased.
+"""
 
 
 _KEPT = 1024
@@ -189,7 +191,9 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
 
 
 def _redundant(beyond: Booleans, valid: Booleans, geometry: Geometry) -> Booleans:
-    """Return the readings (n, m) near the end of the range along which valid axes of a wider range suffice."""
+    """Return those of the readings (n, m) near the end of the range whose directions are determined by valid axes of a
+    wider range.
+    """
     frames = np.flatnonzero(beyond.any(axis=1))
     valid_within, ends = (valid & ~beyond)[frames], geometry.end[: geometry.axes]
     for end in np.unique(ends[beyond.any(axis=0)]):

@@ -13,8 +13,9 @@ estimated slow errors are reported as notes.
 The size effect is the specific force at accelerometers away from the origin of the box frame while the box turns. A
 sensor at r measures f + alpha x r + omega x (omega x r) (rigid-body kinematics). The last term is removed with the
 angular rate of the gyroscopes, and the angular acceleration alpha adds three unknowns to every frame; along an axis s
-of a sensor it contributes alpha. (r x s). The angular rate of three neighbouring frames gives an additional reading of
-alpha: the slope, at the last of them, of the parabola through them, which does not lag behind a steady change.
+of a sensor it contributes alpha . (r x s). The angular rate of three neighbouring frames gives an additional reading of
+alpha: the slope, at the last of them, of the parabola through them, which unlike a plain difference does not lag behind
+a steady change of alpha.
 """
 
 from __future__ import annotations
@@ -97,7 +98,9 @@ class Lever:
         self._last_rate = np.zeros(3)
 
     def __call__(self, readings: FrameReadings, rate: Floats) -> FrameReadings:
-        """Return `readings` less the centripetal term, and readings of the angular acceleration, by the known rate."""
+        """Return `readings` with the centripetal term removed, and the readings of the angular acceleration. Where
+        `rate` (n, 3) rad/s is unknown (NaN), the last known one is used, and there is no slope.
+        """
         time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
         acceleration = self._slopes(time, rates)
         held_rate = hold_last(np.concatenate([self._last_rate[None], rate]))[1:]
@@ -150,7 +153,9 @@ def learned_biases(axes: Sequence[Axis], estimator: ArrayFilter) -> list[Learned
 
 
 class BiasTemperature:
-    """Tracks the sensors' temperatures over blocks; an unknown one is the last known, or the bias's at first."""
+    """Tracks the temperatures of the sensors over consecutive blocks; an unknown temperature is the last known one, or
+    that of the bias before the first.
+    """
 
     def __init__(self, axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> None:
         """`others` rows follow those of the axes, and have no temperature."""
@@ -212,7 +217,9 @@ class Optimal:
         return {quantity: self._groups[quantity].estimate(solutions[quantity], frames[quantity]) for quantity in frames}
 
     def learned(self) -> dict[str, list[LearnedBias]]:
-        """Return the estimated slow errors, by quantity: at the last frame or, after `smoothed`, at its end."""
+        """Return the estimated slow errors, by quantity: at the last frame, or, after `smoothed`, at the end of that
+        log.
+        """
         return {
             quantity: learned_biases(self._axes[quantity], group.filter) for quantity, group in self._latest.items()
         }
@@ -220,9 +227,11 @@ class Optimal:
     def smoothed(
         self, blocks: Callable[[], Iterator[tuple[Mapping[str, Frames], Temperatures | None]]]
     ) -> Iterator[tuple[Times, dict[str, Estimate]]]:
-        """Yield time (n,) and estimates of every block by all frames, independent of earlier calls.
+        """Yield time (n,) and estimates of every block, with the information of all frames; independent of earlier
+        calls.
 
-        `blocks` returns a log's blocks, frames and temperatures, from the beginning; it is called twice.
+        `blocks` returns the consecutive blocks of a log, frames and temperatures, from its beginning; it is called
+        twice.
         """
         groups = self._latest = self._create_groups(recording=True)
         with ExitStack() as spools:

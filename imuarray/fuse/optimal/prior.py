@@ -68,7 +68,9 @@ class AxisErrors:
 
     @property
     def noise_of_means(self) -> float:
-        """Standard deviation of white noise whose means vary as much, with the correlation of neighbours."""
+        """Standard deviation of white noise with the same variance of means over many readings: first-order correlation
+        r increases that variance by (1 + r) / (1 - r).
+        """
         return float(self.noise * np.sqrt((1 + self.correlation) / (1 - self.correlation)))
 
 
@@ -153,7 +155,9 @@ TIMING_S = 0.5e-3
 """Standard deviation of the times of readings of a chip whose rate is unknown."""
 
 _AGE = 1 / np.sqrt(12)
-"""Standard deviation, in periods of a chip's own rate, of a reading's age; its mean is corrected."""
+"""Standard deviation, in periods of a chip's own rate, of the age of a reading at an arbitrary time; its mean is
+corrected.
+"""
 
 UNWATCHED_DEGC = 3.0
 """Standard deviation, within `UNWATCHED_S`, of a temperature without a thermometer."""
@@ -204,7 +208,9 @@ def error_model(
 
 
 def _of_design(wander: float, slope: float, has_temperature: bool) -> DesignErrors:
-    """Return the assumed common errors of a design; measured errors of a unit include them, and nothing is added."""
+    """Return the common errors of a design, which are not measured: the common wander is assumed as large as that of a
+    single unit. Measured errors of a unit include the common ones, and nothing is added.
+    """
     if has_temperature:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
@@ -282,7 +288,9 @@ def _bias(parameters: SensorCalibration, usual: DesignDefaults, noise: Floats, d
 
 
 def _of_calibration(parameters: SensorCalibration) -> float:
-    """Return the share of turn-on variance in a calibrated bias: 1 over the number of its logs, 0 without logs."""
+    """Return the share of the variance between switch-ons in a calibrated bias: 1 over the number of logs, each of
+    which began with a switch-on; 0 for a bias that was not measured in logs.
+    """
     origin = parameters.provenance.get("bias")
     return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
 

@@ -87,7 +87,8 @@ def backwards(later: Adjoint, step: Innovation) -> Adjoint:
     """Return the information of these and all later measurements on the state as predicted before them.
 
     With ``kept = 1 - gain' whitened`` the vector is ``kept' vector - whitened' values`` and the matrix ``kept' matrix
-    kept + whitened' whitened``. Measurements are few, so products with `kept` are not formed.
+    kept + whitened' whitened``. There are few measurements compared with states, so products with `kept` are not
+    formed.
     """
     before = Adjoint(np.empty(later.vector.shape), np.empty(later.matrix.shape))
     if compiled.COMPILED and compiled.turn_back((*later, *step, *before), (len(later.vector), len(step.values))):

@@ -16,7 +16,8 @@ because units with different initial biases may have the same drift. For the cha
 whole time since the start.
 
 `capabilities` states for every pair of anti-parallel axes, from a calibration, which errors it can cancel: the mean of
-a pair, with opposite signs, contains half the difference of their slopes and biases.
+a pair, with opposite signs, contains half the difference of the two errors, of the slopes with temperature and of the
+biases.
 """
 
 from __future__ import annotations
@@ -79,7 +80,9 @@ class Pair:
 
 
 def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Pair]:
-    """Return opposing axes of two of `sensors` (one quantity) of a design, as calibrated; ranges may differ."""
+    """Return every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated
+    directions; measuring ranges may differ.
+    """
     parameters = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
     return [
         Pair(
@@ -123,7 +126,9 @@ def _bias(parameters: SensorCalibration, index: int) -> tuple[float, float] | No
 
 
 def _reduction(error: tuple[float, float] | None, other_error: tuple[float, float] | None) -> Reduction | None:
-    """Return the reduction of two errors with standard errors, with its interval; None if one of them is not known."""
+    """Return the reduction of two errors, each with its standard error; its interval collapses to a point for standard
+    errors of zero. None if one of them is not known.
+    """
     if error is None or other_error is None:
         return None
     (first, sem_first), (second, sem_second), tiny = error, other_error, np.finfo(float).tiny
@@ -163,7 +168,9 @@ class OpposingGroup:
 
 
 def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
-    """Return every design and box axis with unequal numbers of axes in both directions; equal numbers cancel."""
+    """Return every design and box axis that has axes in both directions, but not equally many of each: equal numbers
+    cancel in the average.
+    """
     rows = directions(axes)
     main = np.abs(rows).argmax(axis=1)
     groups: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
@@ -214,7 +221,9 @@ class CommonErrorEstimate:
         self._sums = np.zeros((2, 1 + len(self.members)))
 
     def estimate(self, time: npt.NDArray[np.int64], residual: Floats, valid: npt.NDArray[np.bool_]) -> Floats:
-        """Return the common error (n,) in the unit of `residual` (n, m), values less the average triad."""
+        """Return the common error (n,) in the unit of `residual` (n, m), axis values less the average triad along
+        them.
+        """
         errors = np.where(valid[:, self.members], residual[:, self.members], np.nan)
         slow = self._slow(time, errors)
         start = self._slow.begin  # the level is the low-pass at this row
@@ -230,7 +239,9 @@ class CommonErrorEstimate:
         return np.asarray(common)
 
     def _parts(self, errors: Floats) -> Floats:
-        """Return (n, 1 + m) the sum of the means of both directions, and each axis less the mean of its direction."""
+        """Return (n, 1 + m) the sum of the means of both directions, and the difference of each axis from the mean of
+        its direction.
+        """
         ways = errors[:, : self._along], errors[:, self._along :]
         total = sum((way.mean(axis=1, keepdims=True) for way in ways), np.zeros((len(errors), 1)))
         return np.concatenate([total, *(way - way.mean(axis=1, keepdims=True) for way in ways)], axis=1)
@@ -310,7 +321,8 @@ class Smoother:
 
 
 def opposed(axes: Sequence[Axis]) -> Technique:
-    """Return the technique that removes a design's common error, by anti-parallel axes (paper, section 2.1).
+    """Return the technique that estimates the error that all units of a design share from anti-parallel axes, and
+    removes it (paper, section 2.1).
 
     It cancels errors that are equal in all units, as far as these agree: the level at the start, drift with
     temperature, the mean of even-order terms. With equal numbers of axes in both directions the average cancels them

@@ -112,7 +112,9 @@ class PlaneBlend:
         return sentences
 
     def _watch(self, frames: Frames) -> None:
-        """Sum the differences of watched axes from the others: frames, sum, sum of squares, without stale readings."""
+        """Add up the differences of the watched axes from the others: frames, sum, sum of squares. Stale readings are
+        ignored.
+        """
         full = np.ones(len(self._axes))
         full[self._watched] = 0.0
         reference = solve_frames(frames.values, full * frames.valid, self._rows)
@@ -134,7 +136,9 @@ class PlaneBlend:
 
 
 def dilution(watched: Floats, others: Floats) -> Floats:
-    """Return the noise (k,) along `watched` (k, 3) of a solution by `others` (m, 3), over one axis'; inf if unknown."""
+    """Return the noise (k,) along `watched` directions (k, 3) of a solution from the axes `others` (m, 3), relative to
+    the noise of one axis; inf where these axes do not determine it.
+    """
     u, size, _ = np.linalg.svd(others.T @ others)
     with np.errstate(divide="ignore"):
         variance = np.where(size > 1e-9 * max(len(others), 1), 1 / size, np.inf)
@@ -156,7 +160,8 @@ def changes(axes: Sequence[Axis]) -> list[str]:
 
 
 def plane_weights(axes: Sequence[Axis]) -> Floats:
-    """Return the weights (m,): within a design 1 for the better kind of axis, for the other the ratio of mean squares.
+    """Return the weights (m,): within a design 1 for the better kind of axis and the ratio of the mean squared errors
+    for the other.
 
     Kinds with similar errors have the weight 1, because weights would gain little. The squares are means over the
     design's units and ranges, each relative to the three axes of its unit, so that only the plane has an effect.

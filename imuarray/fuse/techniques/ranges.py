@@ -2,7 +2,8 @@
 
 `Fading` determines how far a low-range sensor may be trusted (away from the end of its range, its filter settled),
 `Tracker` tracks the differences between each axis and the blend of all axes (a bias, a scale and a delay) while all of
-them are trusted, and `RangeBlend` combines the two with inverse-variance weights: the low range fades out.
+them are trusted, and `RangeBlend` combines the two with inverse-variance weights: the low range fades out, the rest
+keeps its level.
 
 `Blends` are the weighted means of any set of an array's axes, with the share of each axis's error that is visible with
 respect to them. For an axis along ``r`` the residual with respect to the blend B of all axes is ::
@@ -121,7 +122,9 @@ class Fading:
         self._last_ns: Times | None = None
 
     def __call__(self, frames: Frames, expected: Floats) -> Floats:
-        """Return the factors of the next block; `expected` (n, m) are predictions by the wide ranges (NaN: unknown)."""
+        """Return the factors of the next block; `expected` (n, m) are the readings of each axis predicted by the wide
+        ranges (NaN: unknown).
+        """
         count = len(frames.time)
         if self._is_calm(frames, expected):
             self._last_ns = frames.time[-1:] if count else self._last_ns
@@ -219,7 +222,9 @@ GAP_S = 0.5
 """Longest time between two frames from which a slope is computed."""
 
 _ENOUGH = 10.0
-"""Least mean square of a motion over its noise: noise of the regressor attenuates the result by at most a tenth."""
+"""Least mean square of a motion relative to its noise: with less, the noise of the regressor would attenuate the result
+by more than a tenth.
+"""
 
 _FEWEST = 8
 
@@ -270,7 +275,9 @@ class SegmentMoments(NamedTuple):
 
 
 def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> SegmentMoments:
-    """Return sums over each whole segment; a frame counts if it and its neighbours are steady and complete."""
+    """Return the sums over each whole segment. A frame counts if it and its neighbours are steady, and if no axis that
+    is present in the segment is missing in it.
+    """
     count, axes = len(rows.time) // SEGMENT, len(directions)
     shape = (count, SEGMENT)
     end_ns = rows.time[SEGMENT - 1 :: SEGMENT]
@@ -387,7 +394,9 @@ class DifferenceStates:
     covariances: Floats
 
     def variances(self, frames: npt.NDArray[np.intp], along: Floats, slope: Floats) -> Floats:
-        """Return the variance (k, m) of the corrections at signals `along` (k, m) with `slope` (k, m)."""
+        """Return the variance (k, m) of the corrections of these frames at signals `along` (k, m) with `slope`
+        (k, m).
+        """
         terms = np.stack([np.ones_like(along), along, -slope], axis=-1)
         return np.asarray(np.einsum("kmi,kmij,kmj->km", terms, self.covariances[self.which[frames]], terms))
 
@@ -432,7 +441,8 @@ class Tracker:
         return DifferenceStates(which, *self._corrections(*self._learn(segments)))
 
     def _corrections(self, differences: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-        """Return the differences (k, m, 3) for corrections, and covariances as in `DifferenceStates`.
+        """Return the differences (k, m, 3) for corrections, and their covariances (k, m, 3, 3) as in
+        `DifferenceStates`.
 
         A scale or delay that is not significant is reduced, or set to zero, so that sensors that agree do not get
         worse; the bias changes with it, and the covariance includes the omitted part.
@@ -453,7 +463,9 @@ class Tracker:
         return result, covariances / self._share[:, None, None]
 
     def _learn(self, segments: SegmentMoments) -> tuple[Floats, Floats]:
-        """Update the filters by k segments; return differences (k + 1, m, 3) and covariances around them."""
+        """Update the filters by k segments; return differences (k + 1, m, 3) and covariances (k + 1, m, 3, 3) before,
+        between and after them.
+        """
         count, present = len(segments.end_ns), segments.present
         passed_s = np.diff(segments.end_ns, prepend=segments.end_ns[:1] if self._end_ns is None else self._end_ns)
         passed_s = passed_s[:, None] * 1e-9
@@ -523,7 +535,8 @@ FOLLOWED_PERIODS = 3
 
 class RangeBlend:
     """Low and high measuring ranges blended by inverse variance (paper, section 2.3; there of one design, here also of
-    designs with one range each), `range_weights`; a low range fades out before its end until settled (`Fading`).
+    designs with one range each), `range_weights`; a low range fades out before its end and returns when it has settled
+    (`Fading`).
 
     The differences between the axes (`Tracker`) are removed from each of them. Which axis is right is unknown, so the
     level of the whole blend is kept, and while the low range is out the others are corrected to that level. The
@@ -569,7 +582,9 @@ class RangeBlend:
         return [relative.sentence(quantity) for relative, low in result if low]
 
     def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
-        """Return the causal change per second (n, 3) over two frames; 0 if unknown, or if motion may have changed."""
+        """Return the change per second (n, 3) over the last two frames, which is causal; zero if not known, or if the
+        motion may have changed within two frames: delays are then not corrected.
+        """
         times, triads = np.concatenate([self._last_time, time]), np.concatenate([self._last_triad, triad])
         slope = np.zeros_like(triads)
         passed_s = (times[2:] - times[:-2])[:, None] * 1e-9
@@ -581,7 +596,9 @@ class RangeBlend:
     def _uncertainty(
         self, states: DifferenceStates, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
     ) -> Floats:
-        """Return the covariance (n, 6) by errors of the corrections: gains less those of the whole blend."""
+        """Return the covariance (n, 6) by errors of the corrections where they do not cancel, from the difference of
+        the gains from those of the whole blend.
+        """
         extra = np.zeros((len(triad), 6))
         off = np.flatnonzero((share < 1).any(axis=1) & np.isfinite(triad).all(axis=1))
         if len(off):
