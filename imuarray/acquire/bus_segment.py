@@ -100,7 +100,7 @@ class MuxChannel:
         self.number = channel
 
     def select(self) -> None:
-        """Connect this channel now, so that the next transaction starts at once; OSError if silent."""
+        """Connect this channel now, so that the next transaction starts at once; OSError if the multiplexer fails."""
         self.mux.select(self.number)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
@@ -246,7 +246,9 @@ def mark_twins(routes: Sequence[SensorRoute]) -> None:
 
 
 def witnesses_of(route: SensorRoute, all_routes: Sequence[SensorRoute]) -> list[Witness]:
-    """Return the registers in which this chip differs from all its twins, even if one was reset; all without a twin."""
+    """Return the registers in which this chip differs from all its twins, even if one of them was reset; all its
+    registers if it has no twin.
+    """
     twins = twins_of(route, all_routes)
     witnesses = []
     for setting in route.driver.watched:
@@ -383,7 +385,9 @@ class ConfigurationReadback:
             check.good_rows = len(buffer.times_ns)
 
     def finish(self) -> None:
-        """Check everything once more (wrong registers twice), and flag the rows that remain in doubt."""
+        """Check everything once more (wrong registers twice), and flag the rows that remain in doubt, so that no row
+        stays undecided.
+        """
         for check in self._checks:
             if check.buffer.recovery is None:
                 self.run(check)
@@ -418,11 +422,15 @@ SEARCH_NS = 250_000_000
 FIRST_PAUSE_NS = 50_000_000
 LONGEST_PAUSE_NS = 400_000_000
 SLACK_NS = 1_000_000
-"""Excess of a reading's duration over its bits in ns, above which its time is uncertain by the excess."""
+"""Excess of the duration of a reading over that of its bits, in ns, above which the machine interrupted it; its time is
+uncertain by the excess.
+"""
 
 
 class AdapterState:
-    """One adapter. Nothing is sent before `silent_until_ns`; `hangs` and `removed` say whether it does."""
+    """One adapter. Nothing is sent before `silent_until_ns`; `hangs` and `removed` are True while it hangs or is
+    unplugged.
+    """
 
     def __init__(self) -> None:
         self.hangs = False
@@ -526,7 +534,9 @@ class Channel:
         return True
 
     def _ask_witness(self, witness: Witness) -> bool | None:
-        """Return whether the witness confirms the channel; None if it is silent or returns neither twin's value."""
+        """Return True if the witness confirms the channel, False if it returns a twin's value, None if the chip is
+        silent or returns a value that is neither its own nor a twin's. Without a twin, any answer confirms the channel.
+        """
         registers, setting = witness.route.driver.registers, witness.setting
         try:
             register = setting.register
@@ -596,7 +606,9 @@ class BusSegment:
         self._root = bus.mux.bus if isinstance(bus, MuxChannel) else bus
 
     def begin(self) -> int:
-        """Connect the segment before the first reading, and return the time; the first reading reports a failure."""
+        """Connect the segment before the first reading is timed, and return the time. If that fails, the first reading
+        fails as well and reports the error.
+        """
         if self._select is not None and self._clock.now_ns() >= self.adapter.silent_until_ns:
             try:
                 self._select()

@@ -36,7 +36,7 @@ def machine_clocks() -> tuple[int, int, int, int]:
 
 
 def clock_reader(clock: Clock, start_ns: int, wall_time: datetime) -> ClockReader:
-    """Return the machine's clocks for a bus that follows them; for an emulated bus, four that agree with its own."""
+    """Return the machine's clocks for a bus that follows them; for an emulated bus, four that agree with its clock."""
     if isinstance(clock, MonotonicClock):
         return machine_clocks
     wall_ns = round(wall_time.timestamp() * 1e6) * 1000 - start_ns

@@ -32,7 +32,9 @@ from imuarray.printable import printable
 
 
 def _identities() -> tuple[tuple[str, tuple[int, ...], Register], ...]:
-    """Return the chips that may be at an address, by identity register and value; alike chips share an entry."""
+    """Return the chips that may be at an address, with the identity register and the value in it that identifies them.
+    Chips with the same identity share an entry.
+    """
     names: dict[tuple[tuple[int, ...], Register], list[str]] = {}
     for chip, spec in CHIPS.items():
         dies = names.setdefault((spec.addresses, spec.identity), [])
@@ -63,7 +65,7 @@ class Detection:
     self_test: str = ""
     """The result of the chip's self-test, if that was requested."""
     channel: int | None = None
-    """Channel of the multiplexer (None: trunk) and address of a chip that the configuration lacks."""
+    """Channel of the multiplexer (None: the trunk) and address of a chip that the configuration does not name."""
     address: int | None = None
     undetermined: bool = False
     """True if the self-test could not determine whether the chip is good."""
@@ -79,7 +81,9 @@ _VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: 
 
 
 def owner_of(address: int, bus: OpenBus) -> str:
-    """Return which kernel driver owns an address of the root bus, or a place on it; "" for none or unknown (LNX-12)."""
+    """Return which kernel driver owns an address of the root bus, or a place on it; "" for none, and for a bus that
+    does not know owners (LNX-12).
+    """
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     try:
         if ask is not None:
@@ -117,7 +121,9 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
 
 
 def _find_owned_addresses(bus: OpenBus) -> list[Detection]:
-    """Report addresses of known chips that a kernel driver owns; it may be another chip, so this is no error."""
+    """Report addresses of known chips that a kernel driver owns. The chip may be one of an array or a clock on the same
+    bus, so this is no error.
+    """
     known_addresses = sorted(
         {*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)}
     )
@@ -192,7 +198,7 @@ def _describe_kernel_device(device: IioDevice) -> Detection:
 
 
 def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
-    """Return the address that answers as a multiplexer; barometers share one of its addresses (PCA-11)."""
+    """Return the address that answers as a multiplexer. Some barometers share one of its eight addresses (PCA-11)."""
     for address in pca9544a.ADDRESSES:
         if address in owned:  # one that the kernel switches must not be written to: LNX-24
             continue
@@ -208,7 +214,9 @@ def _is_known(bus: Bus, address: int) -> bool:
 
 
 def _keeps_control(bus: OpenBus, address: int) -> bool:
-    """Return whether the control byte reads back (PCA-02), with channel 1 and with none; no register does that."""
+    """Return whether the control byte reads back as written (PCA-02), with channel 1 connected and then with none. A
+    chip with registers would take the byte as a register address.
+    """
     for control in (pca9544a.ENABLE(1) | pca9544a.CHANNEL(1), pca9544a.ENABLE(0) | pca9544a.CHANNEL(0)):
         bus.transfer(address, bytes([control.value]))
         returned = bus.transfer(address, read=1)[0]

@@ -15,7 +15,9 @@ from imuarray.log.format import Event
 from imuarray.log.rotate import Writer
 
 QUIET_NS = 1_000_000_000
-"""Time in ns within which a fault recurs in one episode; it doubles if it recurs later, within `RELAPSE_NS`."""
+"""Time in ns within which a fault that recurs belongs to the same episode. It doubles whenever the fault recurs later
+than this, but within `RELAPSE_NS`.
+"""
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
 
@@ -80,7 +82,9 @@ class FaultEpisode:
         self._lasts = True
 
     def end(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
-        """End a lasting episode: reported at once unless it recurs, never if an event has `reported` it."""
+        """End a lasting episode. Its end is reported at once, or after a quiet time if the fault recurs; not at all if
+        the fault occurred once and another event has `reported` its end.
+        """
         self._lasts, self._reported = False, reported
         if self.is_open:
             self.last_ns, self._end = max(self.last_ns, at_ns), message
@@ -117,7 +121,9 @@ class FaultEpisode:
 
 
 def event_writer(log: Writer, epoch_ns: int, on_event: Callable[[Event], None]) -> SensorReport:
-    """Return the function that writes a sensor's event ("": array) into a log from `epoch_ns`, and to `on_event`."""
+    """Return the function that writes an event of a sensor ("": of the array) into a log that began at `epoch_ns`, and
+    passes it to `on_event`.
+    """
 
     def note(sensor: str, at_ns: int, kind: str, message: str) -> None:
         event = Event(at_ns - epoch_ns, sensor, kind, message)

@@ -99,7 +99,9 @@ class Poll:
         self.truth_rows: list[tuple[int, Any]] = []
 
     def _segments(self, routes: Sequence[SensorRoute]) -> list[BusSegment]:
-        """Group the sensors in order. Channels and trunk of a multiplexer share an adapter; a bus is another."""
+        """Group the sensors in the order of the configuration. The channels of one multiplexer, and its trunk, share an
+        adapter; a separate bus has another.
+        """
         shared, all_buffers = AdapterState(), list(self.buffers.values())
         polling = Polling(self.clock, self.rate_hz, self.faults, self.lose)
         return [
@@ -120,7 +122,9 @@ class Poll:
                     self.health.configure_later(buffer, at_ns)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
-        """Read frame after frame on a grid of times; a frame may be late, and is missed once its time has passed."""
+        """Read frame after frame on a grid of times: a frame that begins late is counted as late, one whose time has
+        passed as missed.
+        """
         period_ns = round(1e9 / self.rate_hz)
         self.log.keep()
         due_ns = self.clock.now_ns()  # the first frame is due now: creating files took time, but no frame was missed
@@ -173,7 +177,9 @@ class Poll:
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame; wake to check for a request to stop, and for what is due before (`_soonest`)."""
+        """Sleep until the next frame. Wake at intervals to check for a request to stop, and to do what must be done
+        before a frame that is far away (`_soonest`).
+        """
         visited: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
             at_ns, place = self._soonest(due_ns, visited)

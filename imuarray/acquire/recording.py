@@ -20,7 +20,9 @@ from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.writer import Block
 
 _SHARE = 0.5
-"""Interval of notifications as a share of the watchdog's time (sd_watchdog_enabled(3) recommends a half)."""
+"""Interval of notifications as a share of the watchdog's time (sd_watchdog_enabled(3) recommends to notify every half
+of it).
+"""
 _STATUS_NS = 10_000_000_000
 
 
@@ -42,7 +44,9 @@ class Service:
         self._ready = False
 
     def stored(self, rows: int) -> None:
-        """Note the number of stored rows of all sensors: the first send READY=1, later ones WATCHDOG=1 as needed."""
+        """Note the number of stored rows of all sensors: the first rows send READY=1, later ones WATCHDOG=1 as often as
+        needed.
+        """
         if self._address is None or rows <= self._rows:
             return
         now_ns, words = self._now_ns(), []
@@ -59,7 +63,9 @@ class Service:
         self._send(words)
 
     def stopping(self, status: str = "finishing the log") -> None:
-        """Note that the log is being finished: TimeoutStopSec= counts now, and the watchdog no longer applies."""
+        """Note that the recording has ended and its log is being finished: TimeoutStopSec= counts, the watchdog no
+        longer does.
+        """
         self._send(["STOPPING=1", f"STATUS={' '.join(status.split())}"])
 
     def _send(self, words: list[str]) -> None:
@@ -75,7 +81,9 @@ class Service:
 
 
 def _address(name: str) -> str | bytes | None:
-    """Return the address of a socket from its path, or of an abstract one ("@..."); None if empty or not local."""
+    """Return the address of a socket from its path, or of an abstract one ("@..."); None for an empty address and for
+    sockets that aren't local.
+    """
     if name.startswith("@") and len(name) > 1:
         return b"\0" + os.fsencode(name[1:])
     return name if name.startswith("/") else None

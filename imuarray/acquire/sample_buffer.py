@@ -48,7 +48,7 @@ from imuarray.printable import counted
 
 FIRST_PAUSE_NS = 100_000_000
 LONGEST_PAUSE_NS = 3_200_000_000
-"""Longest pause in ns between attempts to reach a sensor; they double. One at a silent address takes 30 us."""
+"""Longest pause in ns between attempts to reach a sensor; pauses double. An attempt at a silent address takes 30 us."""
 
 
 class SensorRecovery:
@@ -146,7 +146,9 @@ frozen. With noise of half a code rms on a single axis, three of four readings r
 """
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
 _FROZEN_SHARE = 0.9
-"""Least duration of a constant reading, as a share of the nominal one: quick frames read a sample again."""
+"""Least duration of a constant reading, as a share of the nominal one: frames in quick succession read the same sample
+of the chip again.
+"""
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
 """Duration in s, and number of reading periods, without a reading after which a sensor is silent (the longer one)."""
@@ -253,7 +255,7 @@ class SampleBuffer:
         return frames
 
     def conversion_before(self, due_ns: int) -> int | None:
-        """Return when a conversion ends whose result would be too old in the frame at `due_ns`, or None."""
+        """Return when a conversion ends whose result would be too old in the frame at `due_ns`; None without one."""
         if self._converter is None or self.recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
@@ -374,7 +376,9 @@ class SampleBuffer:
         self._watch_still = self.frozen_reading is not None
 
     def frozen_since(self) -> int | None:
-        """Return the row since which the reading has been constant too long for chance, or None; written rows count."""
+        """Return the row since which the reading has been constant for too long to be chance; None otherwise. Rows that
+        are already written are counted, but can no longer be flagged.
+        """
         rows, needed, oldest = len(self.times_ns), self.frozen_rows, self._since_set_up
         if rows == oldest or rows - oldest + self._written_run < needed:
             return None
@@ -396,7 +400,9 @@ class SampleBuffer:
         return self._written_since_ns if continues else self.times_ns[row]
 
     def note_frozen(self) -> None:
-        """Note that the reading is frozen. If a configuration did not help, wait longer: the signal may be quiet."""
+        """Note that the reading is frozen. If configuring the chip did not help, wait longer before the next attempt,
+        since the signal may be quiet.
+        """
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
         self.frozen_reading = self._reading(len(self.times_ns) - 1)
 
@@ -481,7 +487,9 @@ class SampleBuffer:
         ]
 
     def _flag_repeated(self, readings: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
-        """Return STALE where the bytes of a reading equal the previous ones, for want of a data-ready bit."""
+        """Return STALE where the bytes of a reading equal the previous ones, the only evidence in a chip without a
+        data-ready bit.
+        """
         previous = np.concatenate([~readings[:1] if self._last is None else self._last, readings[:-1]])
         self._last = readings[-1:]
         return np.where((readings == previous).all(axis=1), STALE, 0).astype(np.uint16)
@@ -511,7 +519,9 @@ _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
 
 
 class Intake:
-    """Writes rows into `log`; `on_block` gets each written block, `faults` report rejected rows, counted in `lost`."""
+    """Writes rows into `log`. `on_block` receives each written block, `faults` report rejected rows, `lost` counts them
+    by sensor.
+    """
 
     def __init__(
         self,

@@ -37,7 +37,7 @@ from imuarray.log.writer import Block
 
 SECONDS = 10.0
 FEWEST_READINGS = 10
-"""Least number of readings for a verdict; with fewer, noise could look like another state."""
+"""Least number of readings for a verdict; the mean of fewer is so noisy that it could look like another state."""
 ATTEMPTS = 3
 """Largest number of attempts to configure a sensor that started wrong; after them, none of its readings are trusted."""
 
@@ -62,7 +62,9 @@ class StartVerdict(Protocol):
 
 
 Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]
-"""Function from the counts (n, 3) of the sensors' first seconds to verdicts by name, if there are any."""
+"""Function from the counts (n, 3) of the sensors' first seconds to verdicts by name; a sensor that can't be judged has
+no verdict.
+"""
 
 
 class StartUpCheck:
@@ -148,7 +150,9 @@ class Freshness:
 
 
 AWAY_NS = 250_000_000
-"""Silence in ns after which a sensor is searched for at growing intervals instead of read."""
+"""Duration of silence in ns after which a sensor is searched for at growing intervals instead of read. A sensor that
+holds the clock delays all others, and is no longer read after two frames.
+"""
 
 
 class _SensorState:
@@ -199,7 +203,9 @@ class SensorHealth:
     # In a frame -----------------------------------------------------------------------------------------------------
 
     def lost(self, buffer: SampleBuffer, at_ns: int, error: OSError | None) -> None:
-        """Note that a reading did not arrive; `error` is None if it was not requested from a lost bus."""
+        """Note that a reading did not arrive; `error` is None if it was not requested because the bus hangs or its
+        adapter is removed.
+        """
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
         if error is None:
@@ -330,7 +336,9 @@ class SensorHealth:
     # Writing --------------------------------------------------------------------------------------------------------
 
     def trusted_rows(self, buffer: SampleBuffer, now_ns: int) -> int:
-        """Return how many waiting rows can be written: later checks and readings confirmed configuration and motion."""
+        """Return how many of the waiting rows can be written: later checks confirmed the configuration, and later
+        readings showed that the sensor is not frozen; after `HELD_S` without that, all can.
+        """
         if self._start_up is not None and self._start_up.holds(buffer):
             return 0
         rows = len(buffer.times_ns)
@@ -359,7 +367,7 @@ class SensorHealth:
 
 
 def _lost_setting(driver: Driver) -> str:
-    """Return a clause that names the first register that is not as configured; "" if all are, or if it is silent."""
+    """Return a clause that names the first register that is not as configured; "" if none or if the chip is silent."""
     with suppress(OSError):
         for setting in driver.watched:
             value = driver.registers.read_back(setting.register)

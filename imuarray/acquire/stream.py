@@ -150,7 +150,9 @@ class StreamHealth:
             self.failed[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
-        """Return how many of the waiting rows can be written; after `HELD_S` rows are written as suspect."""
+        """Return how many of the waiting rows can be written; rows that nothing verified within `HELD_S` are written as
+        suspect.
+        """
         if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
         buffer = rows.buffer
@@ -174,7 +176,9 @@ class StreamHealth:
             check.good_rows = max(check.good_rows - count, 0)
 
     def finish(self, now_ns: int) -> None:
-        """Read every register back twice after the end of the stream, and flag the rows that remain unverified."""
+        """Read every register back twice after the stream was stopped, at the end of the log, and flag the rows that
+        remain unverified.
+        """
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=True)
         for rows in self._rows:
@@ -200,15 +204,21 @@ WRITE_NS = 1_000_000_000
 """Time between two writes, in ns."""
 SILENCE_NS = 2_000_000_000
 SILENT_PERIODS = 2.5
-"""Time in ns, and multiple of usual pauses, without data after which a microcontroller counts as reset or removed."""
+"""Time in ns, and multiple of the usual pauses, without data after which a microcontroller counts as reset or removed
+(the longer of both).
+"""
 QUIET_S = 0.5
-"""Silence at the end, in s beyond two of the microcontroller's usual pauses, above which the link is lost."""
+"""Duration of silence at the end, in s and in excess of two of the microcontroller's usual pauses, above which the link
+is lost.
+"""
 PAUSE_NS = 3_000_000_000
 """Time in ns between two attempts to configure chips again, or to find the microcontroller."""
 
 
 def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
-    """Return whether `Streaming` records these routes: on a microcontroller that can drain every queue of them."""
+    """Return whether `Streaming` records these routes: they are on a microcontroller that can drain every queue among
+    them by itself. Otherwise all of them are polled through the link.
+    """
     if not isinstance(bus, SerialBus):
         return False
     queues = [unattended_queue_of(route.driver) for route in routes if route.sensor.fifo]
@@ -417,7 +427,9 @@ class Streaming:
         self.summary.silent = [rows.buffer.route.sensor.name for rows in self._rows if rows.buffer.silent(now_ns)]
 
     def _count_silence(self, is_lost: bool) -> None:
-        """Count the frames due since the last data as lost, if the link is lost (`is_lost`, or too long a silence)."""
+        """Count the frames that were due since the last data as lost, if the link is lost: if `is_lost`, or if it has
+        been silent for longer than any usual pause.
+        """
         silent_s = (self._bus.clock.now_ns() - self._received_ns) * 1e-9
         if not is_lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
             return

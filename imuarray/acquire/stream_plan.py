@@ -145,7 +145,9 @@ class _Lists:
         return age
 
     def _add_request(self, key: _Key, request: Request) -> int:
-        """Return the position of this request's age; both halves of a six-axis chip need the same bytes, read once."""
+        """Return the position of the age of this request. The two halves of a six-axis chip, read one after the other,
+        need the same bytes, which are read once.
+        """
         newest, position = self._newest.get(key, (None, 0))
         if newest == request and request.read:
             return position
@@ -169,7 +171,9 @@ def _wire_request(route: SensorRoute, request: Request) -> Request:
 
 
 def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
-    """Return the plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that needs the host."""
+    """Return the plan for reading `routes` in `rate_hz` frames a second; ValueError for a queue that only the host can
+    drain.
+    """
     split = _split(routes, rate_hz)
     period_rate_hz = rate_hz * split
     lists = _Lists()
@@ -221,7 +225,9 @@ def _read_back(route: SensorRoute, setting: Setting) -> Visit:
 
 
 def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
-    """Return the number of periods in a frame: one if no result is too old and no queue too long a frame later."""
+    """Return the number of periods in a frame: one if no result of a conversion is too old a frame later, and no queue
+    has more samples by then than a request can read.
+    """
     periods = [1]
     for route in routes:
         queue = unattended_queue_of(route.driver)
@@ -233,7 +239,9 @@ def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
 
 
 def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
-    """Return the period of each visit after the first, and the periods until it repeats; `split` are a frame."""
+    """Return the period of each visit after the first, and the number of periods after which it repeats; `split` of
+    them are a frame.
+    """
     period_ns = 1e9 / (rate_hz * split)
     waits = [math.ceil((visit.wait_ns + _SLACK_NS) / period_ns) if visit.wait_ns else 0 for visit in visits]
     offsets = [sum(waits[: index + 1]) for index in range(len(waits))]
@@ -299,7 +307,9 @@ class Rows:
 
     @property
     def idle_ns(self) -> int:
-        """Return for how long a queue was empty when it was read, if so long that the chip has stopped; otherwise 0."""
+        """Return for how long a queue has been empty although it was read, if that is long enough that the chip must
+        have stopped; otherwise 0.
+        """
         return 0
 
     def begin(self) -> None:
@@ -331,11 +341,15 @@ class Rows:
         return periods // self.places[-1].every
 
     def unread(self, number: int, now_ns: int) -> int:
-        """Return the number of readings that are missing at the end, after frame `number` at `now_ns`."""
+        """Return the number of readings that have not arrived although the recording is over, after frame `number` at
+        `now_ns`.
+        """
         return self.missing(number)
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the readings among the samples; return how many are missing before the last, and the last cause."""
+        """Add the readings among the samples; return how many are missing before the last of them, and the cause of the
+        last missing one.
+        """
         readings = self._whole(samples_by_list, rate)
         count = len(readings.numbers)
         if count == 0:

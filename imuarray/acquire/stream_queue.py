@@ -23,11 +23,13 @@ from imuarray.drivers.unattended import unattended_queue_of
 _I2C_BYTE_NS = 9_000
 """Least time in ns of a byte on an I2C bus: 9 clocks at 1 MHz (fast-mode plus)."""
 LONGEST_US = 1_000_000
-"""Longest duration in us of a transaction with the largest age that can be sent; a watchdog ends longer ones."""
+"""Longest time in us of a transaction with the largest age that can be sent; a watchdog ends longer transactions."""
 _COUNTER_NS = 2_000
 """Uncertainty in ns of a time minus an age: both are whole microseconds, and each is off by up to one."""
 IDLE_REPORT_NS = 900_000_000
-"""Time in ns within which an empty queue is reported; `SWEEP_S` finds a lost configuration earlier."""
+"""Time in ns within which an empty queue is reported, at the last drain before its end. A lost configuration is
+reported earlier, because registers are read back twice in `SWEEP_S`.
+"""
 RAN_OVER = "the chip's queue ran over"
 
 
@@ -47,7 +49,9 @@ def rows_of(routes: Sequence[SensorRoute], plan: StreamPlan, rate_hz: float) -> 
 
 
 class QueueRows(Rows):
-    """Fills the rows of one half of a six-axis chip. Its `leader`, maybe itself, takes the bursts for both."""
+    """Fills the rows of one half of a six-axis chip. Its `leader`, which may be itself, takes the bursts for both
+    halves.
+    """
 
     def __init__(
         self, buffer: SampleBuffer, places: tuple[VisitPlace, ...], queue: UnattendedQueue, leader: QueueRows | None
@@ -119,7 +123,7 @@ class QueueRows(Rows):
         return "its queue ran over" if self._queue.ran_over else "its queue gave no valid samples"
 
     def take(self, samples_by_list: Mapping[int, Samples], rate: float) -> tuple[int, str]:
-        """Add the samples of the bursts that arrived; return how many are missing before the last, and the cause."""
+        """Add the samples of the bursts that arrived; return how many are missing before the last one, and why."""
         if self._leader is self:
             self._failure = ""
             samples = samples_by_list.get(self.places[0].number)
@@ -144,7 +148,9 @@ class QueueRows(Rows):
                 half._add(int(samples.sent_ns[index]), int(samples.sent_us[index]) * 1000, rate, samples.link_ns)
 
     def _visits(self, samples: Samples) -> Iterator[tuple[int, int, int]]:
-        """Yield the row in `samples` of each successful visit, and its interval on the counter in us."""
+        """Yield, for each visit that succeeded, its row in `samples` and the interval in which it took place, on the
+        microcontroller's counter in us.
+        """
         place, payload = self.places[0], samples.payload
         ages = [ages_at(payload, position) for position in place.ages]
         worst = np.max(ages, axis=0)
@@ -165,7 +171,9 @@ class QueueRows(Rows):
             yield index, sent_us - (age_us if age_us < AGE_LONGEST else LONGEST_US), sent_us - int(age_after[index])
 
     def _add(self, sent_host_ns: int, sent_ns: int, rate: float, link_ns: float) -> None:
-        """Add this half's waiting samples; counter `sent_ns` is `sent_host_ns` on the host, within `link_ns`."""
+        """Add the waiting samples of this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the
+        host's, which may be off by `link_ns`.
+        """
         bursts = self._reader.take()
         if bursts or self._filled_ns is None:
             self._filled_ns = sent_host_ns
