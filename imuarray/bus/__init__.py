@@ -40,7 +40,9 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
 
 
 def _linux(rest: str, array: ArrayConfig) -> OpenBus:
-    """Open ``i2c:/dev/i2c-1``; without a path, the first bus that a sensor names (kernel-driven channels need none)."""
+    """Open ``i2c:/dev/i2c-1``; without a path, the first bus that a sensor names (kernel-driven channels need no root
+    bus).
+    """
     from imuarray.bus.linux import LinuxBus
 
     path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c), "")

@@ -29,7 +29,9 @@ _NUMBER = re.compile(r"\b\d+\b")
 
 @dataclass(frozen=True)
 class BusIdentity:
-    """`device` describes the device itself, `part` its adapter or port, `place` the port of its plug ("": built in)."""
+    """`device` is the description of the device itself, `part` its adapter or port, `place` the port into which it is
+    plugged ("" for a built-in device).
+    """
 
     device: str
     part: str
@@ -47,7 +49,9 @@ class BusIdentity:
 
 @dataclass(frozen=True)
 class Entry:
-    """The entry of one device file in sysfs: name, `mark` (inode), unlike later ones of that name, and identity."""
+    """The entry of one device file in sysfs: its name, its `mark` (inode), which no later entry of that name has, and
+    its identity.
+    """
 
     name: str
     mark: int
@@ -88,7 +92,9 @@ def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
 
 
 def mark_of(devices: Path, name: str) -> int | None:
-    """Return the inode of an entry; None if the device was removed. OSError for any other failure."""
+    """Return the inode of an entry; None if the device was removed. OSError for any other failure, which does not mean
+    a removal.
+    """
     try:
         return (devices / name).stat().st_ino
     except (FileNotFoundError, NotADirectoryError):

@@ -274,7 +274,9 @@ class IioDevice:
         return "scan_elements" if (self.folder / "scan_elements").is_dir() else "buffer0"
 
     def elements(self) -> dict[str, ScanElement]:
-        """Return the channels that its buffer can have, by name, if any. SensorError for an invalid type."""
+        """Return the channels that its buffer can have, by name; none without a buffer. SensorError if a type is
+        invalid or if there are too many channels.
+        """
         where = self._elements_folder()
         names = sorted(path.name.removesuffix("_en") for path in (self.folder / where).glob("*_en"))
         if len(names) > MOST_ELEMENTS:

@@ -38,7 +38,7 @@ MAX_MESSAGE = 8192
 KEPT = 256
 """Number of transactions whose structures are kept; an array of a dozen chips uses about a dozen for each."""
 TIMEOUT_S = 0.03
-"""Time-out of a transfer in s. With the kernel's default of 1 s a hung bus would stop the log that long per sensor."""
+"""Time-out of a transfer in s. With the kernel's default, 1 s, a hung bus would stop the log for 1 s per sensor."""
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
 SEARCH_NS = 200_000_000
 """Interval in ns between two searches for a removed adapter; a search lists all adapters of the machine."""
@@ -113,7 +113,9 @@ class LinuxBus:
         fcntl.ioctl(self._adapter.fd, I2C_TIMEOUT, max(1, round(self._timeout_s * 100)))
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """Transfer as `Bus.transfer`; ValueError beyond a message (16 bits: LNX-33), ENODEV while it is unplugged."""
+        """Transfer as `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
+        LNX-33). OSError with ENODEV while the adapter is removed.
+        """
         block = self._prepared(address, write, read)
         if self._file < 0:
             self._find_again()

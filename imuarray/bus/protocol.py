@@ -39,4 +39,4 @@ class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
         """Return the bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """Return the chip select at `path` with this mode and clock, closed with this bus. OSError or BusUrlError."""
+        """Return the chip select at `path` with this mode and clock; this bus closes it. OSError or BusUrlError."""

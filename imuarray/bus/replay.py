@@ -75,7 +75,9 @@ class ReplayBus:
             self.claim = self._claim
 
     def _read(self) -> dict[str, Any] | None:
-        """Return the next line, after noting an epoch; None at the end, empty for one that is no transaction."""
+        """Return the next line after an epoch, which is noted; None after the last line, empty for a line that is not a
+        transaction.
+        """
         while text := self._file.readline(LONGEST_LINE):
             self._at_line += 1
             try:
@@ -131,7 +133,9 @@ class ReplayBus:
             raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
 
     def _line(self, asked: str) -> dict[str, Any]:
-        """Return the next line if it equals the present request; later, only the first difference is reported."""
+        """Return the next line if it equals the present request. Raises the first difference, and the same again at
+        later requests.
+        """
         if self._failure is None:
             try:
                 return self._checked(asked)
@@ -199,7 +203,7 @@ class _ReplayedPort:
 
 
 def _parsed(line: dict[str, Any]) -> dict[str, Any]:
-    """Return a line's numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for an invalid one."""
+    """Return a line with its numbers; ValueError, KeyError, TypeError, AttributeError or OverflowError if invalid."""
     at_ns = _time(line.get("at_ns", 0))
     call = {
         "end_ns": _time(line.get("end_ns", at_ns)),

@@ -112,7 +112,9 @@ class SerialBus:
         return self._transact(link.TRANSFER, payload, read, f"address {address:#04x} over the link")
 
     def exchange(self, select: int, write: bytes, read: int) -> bytes:
-        """Carry out an SPI transaction: bytes out, then zeros while `read` bytes come in; errors of `transfer`."""
+        """Carry out one transaction on a chip select of SPI: bytes out, then zeros while `read` bytes come in; errors
+        as of `transfer`.
+        """
         payload = link.exchange_payload(select, write, read)
         return self._transact(link.TRANSFER, payload, read, f"chip select {select} over the link")
 
@@ -157,7 +159,9 @@ class SerialBus:
         self._transact(link.SELECT, payload, 0, f"chip select {select} in mode {mode} at {clock_hz} Hz")
 
     def start(self, lists: Sequence[PollList], period_us: int, prepare: Callable[[], None] | None = None) -> None:
-        """Execute these lists frame after frame, after `prepare`; OSError if the microcontroller refuses."""
+        """Start to execute these lists, frame after frame; OSError if the microcontroller refuses or has no room.
+        `prepare` is called when it has the lists, right before the first frame.
+        """
         size = link.request_bytes(lists)
         if len(lists) > self.capacity.lists or size > self.capacity.request_bytes:
             raise OSError(

@@ -20,11 +20,15 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 
 MAX_DRIFT = 0.01
-"""Largest relative drift of a clock: twice that of ceramic resonators, half a percent; more is wrong data."""
+"""Largest relative drift of a clock: ceramic resonators are accurate to half a percent, and a fit with more than twice
+that error has wrong data.
+"""
 BLOCK_NS = 100_000_000
 """Duration in ns of a block; only the earliest arrival of a block is kept."""
 WINDOW_BLOCKS = 600
-"""Blocks in the window, at least a minute: longer than the jitter of a delivery, shorter than warming up."""
+"""Number of blocks in the window, at least a minute: long compared with the jitter of a delivery, short compared with
+the warming up of an oscillator.
+"""
 MIN_SPAN_NS = 200_000_000
 """Least span of the data in ns for an estimate of the drift; a shorter span has no information on it."""
 REFIT_NS = 1_000_000_000
@@ -35,7 +39,9 @@ RECENT_BLOCKS = 64
 
 
 def nearest(values: Times, modulus: int, expected: int) -> Times:
-    """Return the numbers (n,) nearest to `expected` that a counter of `modulus` steps shows as `values`."""
+    """Return the numbers (n,) whose counter of `modulus` (even) steps shows `values` (n,), nearest to `expected`; of
+    two equally near ones the lower.
+    """
     half = modulus // 2
     numbers: Times = expected - half + (values - expected + half) % modulus
     return numbers
@@ -65,7 +71,9 @@ class ClockFit:
         self._above_ns = 0.0  # median distance of the earliest arrivals of the blocks from the line
 
     def add(self, sent_ns: int, arrived_ns: int) -> None:
-        """Add a frame that was sent at `sent_ns` microcontroller's time and arrived by `arrived_ns` of the host's."""
+        """Add a frame that was sent at `sent_ns` of the microcontroller's time and arrived by `arrived_ns` of the
+        host's.
+        """
         if not self._sent_ns or sent_ns - self._block_ns >= BLOCK_NS:
             self._block_ns = sent_ns
             self._sent_ns.append(sent_ns)
@@ -103,7 +111,7 @@ class ClockFit:
         return self.latency_ns + 2 * self._above_ns + abs(self._slew[1]) + drift_ns
 
     def host_ns(self, sent_ns: Times) -> Times:
-        """Return the host's times of the microcontroller's times (n,); ValueError before the first frame."""
+        """Return the host's times (n,) at times (n,) of the microcontroller; ValueError before the first frame."""
         if not self._sent_ns:
             raise ValueError("a clock fit without data")
         newest_ns = self._sent_ns[-1]

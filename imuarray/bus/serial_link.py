@@ -221,14 +221,18 @@ def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> 
 
 
 class Deframer:
-    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes of no frame."""
+    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes that belonged to no
+    frame.
+    """
 
     def __init__(self) -> None:
         self.skipped = 0
         self._waiting = b""
 
     def feed(self, data: bytes, *, final: bool = False) -> list[Frame]:
-        """Return the frames that `data` completes; never raises. With `final`, an incomplete frame is skipped."""
+        """Return the frames that `data` completes; never raises. With `final` no data follow, and the bytes of an
+        incomplete frame are skipped.
+        """
         buffer = self._waiting + data
         frames: list[Frame] = []
         crc32, header, checksum, find = zlib.crc32, _HEADER.unpack_from, _CRC.unpack_from, buffer.find
@@ -261,7 +265,9 @@ def transfer_payload(address: int, write: bytes, read: int) -> bytes:
 
 
 def exchange_payload(select: int, write: bytes, read: int) -> bytes:
-    """Return the payload of TRANSFER on SPI: bytes out, then zeros while `read` come in; ValueError if too long."""
+    """Return the payload of TRANSFER on SPI: bytes out, then zeros while `read` bytes come in; ValueError for a
+    transfer that no frame can carry.
+    """
     return _transfer_payload(FIRST_SELECT + select, write, read)
 
 
@@ -302,7 +308,9 @@ def resend_payload(first: int, count: int) -> bytes:
 
 
 def sent_again(payload: bytes) -> tuple[int, int]:
-    """Decode the answer to RESEND: frames sent again, next number mod 65536; errors as of `outcome_of`."""
+    """Decode the answer to RESEND: the number of frames that were sent again, and the frame number, mod 65536, to
+    continue with; errors as of `outcome_of`.
+    """
     frames, following = struct.unpack("<HH", outcome_of(payload, 4, "frames to be sent again"))
     return frames, following
 
@@ -321,7 +329,7 @@ def counts_of(payload: bytes) -> FirmwareCounts:
 
 
 def outcome_of(payload: bytes, count: int, what: str) -> bytes:
-    """Return the `count` bytes after a result of 0; OSError as in Linux for 1 to 3, LinkError for any other result."""
+    """Return the `count` bytes after a result of 0; OSError as in Linux for results 1 to 3, LinkError for any other."""
     if not payload or payload[0] not in (DONE, *_ERRNO):
         raise LinkError(f"{what}: the microcontroller answers {payload[:8].hex() or 'nothing'}")
     if payload[0] != DONE:

@@ -43,7 +43,7 @@ from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
 
 EARLY_US = 5_000
-"""Largest time in us by which a frame may be sent before its number allows: an interrupt is sometimes late."""
+"""Largest time in us by which a frame may precede the time of its number, because an interrupt is sometimes late."""
 PERIOD_ERROR = 0.01
 """Relative error of the period of a timer that can't count it exactly (a coarse tick)."""
 MEMORY_US = 300_000_000
@@ -59,7 +59,9 @@ UNASKED = "an answer to no question"
 
 
 class FrameSelection(NamedTuple):
-    """Data frames of the stream in order: widened `numbers` (n,) and `places` (n,) among those that arrived."""
+    """Data frames of the running stream in its order: their widened `numbers` (n,) and their `places` (n,) among those
+    that arrived.
+    """
 
     numbers: Integers
     places: Integers
@@ -138,7 +140,7 @@ class Admission:
         return _runs(sorted(absent))
 
     def _due(self, frames: Sequence[Frame], sent_us: Integers) -> tuple[Integers, Integers, npt.NDArray[np.bool_]]:
-        """Return (n,) each: the list of a frame, its widened number, and whether this list of this length is in it."""
+        """Return (n,) each: list and widened number of a frame, and whether this list with this length is due in it."""
         names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
         sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
         sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
@@ -156,7 +158,9 @@ class Admission:
         return numbers
 
     def _increasing(self, order: Integers, sent_us: Integers, places: Integers) -> Integers:
-        """Return the `places` (n,), sorted by `order` (n,), of successive frames after the newest earlier one."""
+        """Return those of `places` (n,), sorted by `order` (n,), whose frames follow each other and the newest earlier
+        frame.
+        """
         follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
         if not follows.all():  # a frame that does not follow may precede others that do
             newest, newest_us = self._newest, self._newest_us
@@ -193,10 +197,12 @@ ANSWER_S = 0.25
 """Time in s without an answer after which a command is sent again."""
 TRIES = 3
 PATIENCE_S = 4.0
-"""Time in s to wait for a first answer: opening the port resets many boards, whose boot loader takes 2 s."""
+"""Time in s to wait for a first answer: opening the port resets many boards, and their boot loader takes 2 s."""
 PINGS = 8
 PING_S = 0.04
-"""Time in s between two greetings; all take a third of a second, which gives the microcontroller's rate to 1e-4."""
+"""Time in s between two greetings; all greetings take a third of a second, which determines the rate of the
+microcontroller's clock to a part in ten thousand.
+"""
 DRAIN_READS = 64
 EARLY_NS = 10_000_000
 """Time in ns by which a delivery may be quicker than the quickest of the last seconds. Even an adapter that collects
@@ -204,14 +210,18 @@ bytes for 16 ms delivers the quickest of some seconds in less than 1 ms. A frame
 was sent by another boot.
 """
 LEARNT_NS = 1_000_000
-"""Largest shift in ns of the microcontroller's clock by one observation, which may be false."""
+"""Largest shift in ns that one observation may cause in the fit of the microcontroller's clock; it limits the effect of
+a false frame.
+"""
 
 RESENDS = 3
 """Number of attempts to get missing frames; frames that are sent again are lost as often as others."""
 RUNS = 8
 """Largest number of gaps that one attempt requests."""
 MAX_PAUSE = 64
-"""Most pieces of data without a request for missing frames, after requests to which nothing was sent."""
+"""Largest number of pieces of data without a request for missing frames, after requests to which the microcontroller
+sent nothing: it has omitted these frames.
+"""
 
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
 """Time in ns for a repeated greeting after a first answer."""
@@ -220,7 +230,9 @@ _NONE: Times = np.empty(0, np.int64)
 
 
 class Data(NamedTuple):
-    """Data of the running stream in order: frames, widened numbers (n,), times (n,) of sending in counter us."""
+    """Data of the running stream, in its order: frames, their widened numbers (n,), and the times (n,) at which they
+    were sent, in microseconds of the widened counter.
+    """
 
     frames: list[Frame]
     numbers: Times
@@ -234,7 +246,9 @@ class _Answer(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Data frames read together, and the times (n,) of sending: before `arrived_ns`, shortly if it is `tight`."""
+    """Data frames that were read together, and the times (n,) at which they were sent: they had arrived by
+    `arrived_ns`, and not much earlier if it is `tight`.
+    """
 
     frames: Sequence[Frame]
     sent_us: Times
@@ -361,7 +375,9 @@ class Session:
         raise LinkError("the microcontroller does not answer")
 
     def _answer_to(self, kind: int, asked_ns: int) -> _Answer | None:
-        """Return the answer to the last command, sent at `asked_ns`; one sent before answers an earlier command."""
+        """Return the answer to the last command, which was sent at `asked_ns`. A frame that was sent before that
+        answers an earlier command with the same number, and is refused.
+        """
         since_us = self._latest_us(asked_ns)
         answers, self._answers = self._answers, []
         for index, answer in enumerate(answers):
@@ -485,7 +501,9 @@ class Session:
         return None if latest_ns is None else latest_ns // 1000
 
     def _early_us(self, at_ns: int) -> int:
-        """Return how much later than `_latest_us` a frame may have been sent, by the counter's uncertain drift."""
+        """Return by how much, in us, a frame may have been sent before or after `_latest_us`: `EARLY_NS`, and the
+        largest drift of the counter since the newest arrival.
+        """
         return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
 
     def _bound_us(self, latest_us: int, arrived_ns: int) -> int:
