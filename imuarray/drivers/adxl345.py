@@ -87,7 +87,7 @@ class Adxl345(ChipDriver):
         return self.triads(read, 5 / 400, 1 / 400, count=_SELF_TEST_SAMPLES) / _LSB_PER_G
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts at 256 per g; stale without DATA_READY, overrun where a set was replaced unread (ADX-52)."""
+        """Return counts at 256 per g; stale if DATA_READY was clear, overrun if a set was replaced unread (ADX-52)."""
         decoded, source = self._triads(bursts[:, 2:8]), bursts[:, 0]
         stale = flagged(~source, facts.DATA_READY.mask, STALE)
         overrun = flagged(source, facts.OVERRUN.mask, OVERRUN)

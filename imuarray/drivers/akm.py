@@ -67,7 +67,9 @@ class Ak8963(ChipDriver):
         return ak8963.SIXTEEN_BITS(1) | ak8963.MODE(code)
 
     def open_bypass(self) -> None:
-        """Open the bypass of the MPU on this bus, if any; SensorError for two, whose magnetometers share an address."""
+        """Open the bypass of the MPU on this bus, if there is one; SensorError for two of them, whose magnetometers
+        have one address.
+        """
         hosts = []
         for address in mpu6500.ADDRESSES:
             host = Registers(self.registers.bus, address, self.registers.label)
@@ -155,7 +157,9 @@ _SINGLE = 0b0001
 _PERIOD_NS = 9_500_000
 """Shortest time in ns from one measurement to the next at 100 Hz: less than a period, because a poll may be early."""
 _LONGEST_NS = 20_000_000
-"""Time in ns after which a measurement counts as not started: twice the longest time of any source (AKM-25)."""
+"""Time in ns after which a measurement that is not finished counts as not started: twice the longest time that any
+source states (AKM-25).
+"""
 
 
 class Ak8975(Ak8963):
@@ -190,7 +194,9 @@ class Ak8975(Ak8963):
         self.registers.poke(ak8975.CNTL, self.mode.value)
 
     def fetch(self) -> bytes:
-        """Read a burst; then start a measurement if the last is finished: a write would abort it (AKM-23, DEC-235)."""
+        """Read a burst; then start a new measurement if the last one is finished: a write of the mode would abort it
+        (AKM-23, DEC-235).
+        """
         block = super().fetch()
         self._is_over |= bool(block[0] & ak8975.DATA_READY.mask)
         now_ns = self.clock.now_ns()

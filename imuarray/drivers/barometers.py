@@ -111,7 +111,7 @@ class OnDemandBarometer(ChipDriver):
         raise NotImplementedError
 
     def self_test(self) -> SelfTest:
-        """Check one measurement, which must lie within the operating range; the chip has no self-test."""
+        """Check that one measurement has values within the operating range; the chip has no self-test."""
         self.configure()
         burst, tries, longest_ns = b"", 0, 0
         while not burst and tries < 100:
@@ -245,7 +245,7 @@ class Bmp180(OnDemandBarometer):
         self._converting, self._done_ns = command, done_ns
 
     def _result(self, count: int) -> bytes:
-        """Read `count` bytes of the result, in one burst with the register that shows its end."""
+        """Read `count` bytes of the result, in one burst with the register that shows if the conversion is over."""
         block = self.registers.peek(bmp180.CTRL_MEAS, 2 + count)
         if bmp180.CONVERTING.of(block[0]):
             raise OSError(errno.EIO, f"{self.registers.label}: conversion not finished in time")
@@ -280,7 +280,9 @@ class Bmp280(ForcedBarometer):
     limits_pa: ClassVar[tuple[float, float]] = (30_000.0, 110_000.0)  # BMP-124
 
     def is_over(self, head: bytes) -> bool:
-        """Return whether the chip sleeps with the configured oversampling; a reset clears it (BMP-105, BMP-107)."""
+        """Return whether the chip sleeps with the configured oversampling: a chip that was reset has none (BMP-105,
+        BMP-107).
+        """
         asleep = Setting(self.force.register, self.force.mask, self.force.value & ~bmp280.MODE.mask)
         return not bmp280.MEASURING.of(head[0]) and head[1] == asleep.value
 

@@ -40,7 +40,9 @@ _SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as th
 _SELF_TEST_GAP_NS = 2_000_000
 """Longest interval in ns between two readings in self-test: the deflection lasts less than 10 ms in total (BMA-104)."""
 _SELF_TEST_SIGMAS = 4.0
-"""Number of standard deviations at rest that a deflection must exceed, so that noise and motion fail."""
+"""Number of standard deviations at rest that a deflection must also exceed, so that noise and motion do not pass the
+test.
+"""
 _SLOWEST_SETTLING_S = 253 / 2400  # samples to settle at 10 Hz, the narrowest low-pass: BMA-81
 
 
@@ -83,7 +85,9 @@ class Bma180(ChipDriver):
             yield 0.0
 
     def self_test(self) -> SelfTest:
-        """Measure the largest deflection with st0, at 2 g and 1200 Hz: over 200 counts on every axis (BMA-104)."""
+        """Measure the largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis
+        (BMA-104).
+        """
         quick = (facts.BANDWIDTH(_BANDWIDTH_CODES[1200.0]), facts.RANGE(_RANGE_CODES[2.0]) | facts.SMP_SKIP(0))
         carry_out(self.clock, self._set_up(quick))
         sleep_for(self.clock, 0.005)
@@ -118,7 +122,7 @@ class Bma180(ChipDriver):
         return np.asarray(self.decode(burst).counts[0], float)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale without a new axis."""
+        """Return counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale if no axis is new."""
         words = np.ascontiguousarray(bursts[:, 0:6]).view("<i2")
         counts = (words >> 2).astype(np.int16)
         fresh = (words & facts.NEW_DATA_X.mask).any(axis=1)

@@ -22,7 +22,9 @@ from imuarray.log.format import SATURATED
 
 
 class Registers:
-    """The registers of one chip at `address` of `bus`; `label` is for messages ("BMA2 (bma180) at channel 0 ...")."""
+    """The registers of one chip at `address` of `bus`; `label` names it in messages ("BMA2 (bma180)
+    at channel 0 ...").
+    """
 
     def __init__(self, bus: Bus, address: int, label: str) -> None:
         self.bus = bus
@@ -116,7 +118,9 @@ class DecodedBursts(NamedTuple):
 
 
 def barometer_readings(ut: Integers, up: Integers, temperature_degc: Floats, pressure_pa: Floats) -> DecodedBursts:
-    """Return a barometer's readings: words UT and UP (n,) as counts, their physical values, and no flags."""
+    """Return the readings of a barometer: its words UT and UP (n,) as counts, the physical values that follow from
+    them, and no flags.
+    """
     counts = np.stack([ut, up], axis=1).astype(np.int32)
     compensated = {"temperature": temperature_degc, "pressure": pressure_pa}
     return DecodedBursts(counts, None, np.zeros(len(counts), np.uint16), compensated)
@@ -159,7 +163,7 @@ class Driver(Protocol):
     burst: ClassVar[int]
     """Length of one fetched burst in bytes."""
     has_data_ready: ClassVar[bool]
-    """True if the burst shows whether the reading is new; otherwise the logger compares readings."""
+    """True if the burst shows whether the reading is new; if not, the logger compares it with the one before."""
     watched: tuple[Setting, ...]
     registers: Registers
 
@@ -167,7 +171,7 @@ class Driver(Protocol):
 
     @property
     def reading(self) -> slice:
-        """Position of the reading in a burst, without status and temperature, for comparisons of bursts."""
+        """Position of the reading in a burst, without status and temperature; bursts are compared by these bytes."""
 
     def identify(self) -> None:
         """Check that this chip answers; SensorError."""
@@ -238,7 +242,9 @@ class RemarkingDriver(Protocol):
     """A driver of a chip that may have a setting with which readings are wrong."""
 
     def remark(self) -> str:
-        """Read the settings before the chip is configured, and return a remark on them or "". OSError from the bus."""
+        """Read the present settings, before the chip is configured, and return a remark on them; empty if there is
+        none. OSError from the bus.
+        """
 
 
 @runtime_checkable

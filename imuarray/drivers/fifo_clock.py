@@ -20,7 +20,9 @@ TOLERANCE = 0.15
 DRIFT = 2e-4
 """Largest relative change of a chip's rate within a window; warming by a few degrees changes it by less."""
 WINDOW_NS = 5e9
-"""Time in ns after which a new window begins; the previous one is used until then."""
+"""Time in ns after which a new window begins. The previous window is used until then, so that no bound is more than
+twice as old.
+"""
 
 SLIVER_NS = 1e3
 """Least time in ns that a bound must cut off; a bound that cuts off less adds a vertex without information."""
@@ -84,7 +86,9 @@ class _Window:
 
 
 def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
-    """Return the part of a convex polygon on which `excess`, given at the vertices and linear, is not positive."""
+    """Return the part of a convex polygon on which `excess` is not positive; it is given at the vertices, linear in
+    between.
+    """
     kept: Vertices = []
     before, beyond = vertices[-1], excess[-1]
     for vertex, over in zip(vertices, excess, strict=True):
@@ -222,7 +226,9 @@ class FifoClock:
         return window is not None
 
     def _begin(self) -> None:
-        """Discard the times of samples; keep the period of the last window, unless no window fits the count."""
+        """Discard the times of samples. After an overrun, keep the period of the last window; otherwise (no window, or
+        none that is consistent with the count) return to the nominal period.
+        """
         if self._window is not None and self.overrun:
             self._periods = self._window.periods
         else:

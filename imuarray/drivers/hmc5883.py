@@ -68,7 +68,9 @@ class Hmc5883(ChipDriver):
         yield 1 / self.rate_hz
 
     def self_test(self) -> SelfTest:
-        """Measure the response to the chip's own field at gain code 5, without the earth's field (HMC-41, HMC-42)."""
+        """Measure the response to the chip's own field at gain code 5; the chip subtracts the earth's field (HMC-41,
+        HMC-42).
+        """
         biased = facts.AVERAGING(0) | facts.OUTPUT_RATE(0b110) | facts.MEASUREMENT_BIAS(0b01)
         self.registers.set(biased, facts.GAIN(_SELF_TEST_GAIN))
         self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)

@@ -153,7 +153,9 @@ class Icm42688(SixAxisHalf):
         self.registers.set(self._bank(0))
 
     def self_test_unit(self) -> Floats:
-        """Return the factory's change (3,) in counts at the range of the self-test, which halves them (TDK-40)."""
+        """Return the change (3,) measured at the factory, in counts at the range of the self-test. The chip stores it
+        for 2 g and 250 dps; at 4 g the counts are half as large (TDK-40).
+        """
         trim = _TRIMS[self.half]
         self.registers.set(self._bank(trim.bank))
         codes = self.registers.peek(trim, 3)
@@ -175,7 +177,9 @@ class Icm42688(SixAxisHalf):
 
 
 def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
-    """Return (n,) flags of (n, 3) counts: suspect for the lowest (no reading), saturated at the other ends."""
+    """Return (n,) flags of (n, 3) counts: suspect for the lowest code (-32768 of 16 bits), which means no reading;
+    saturated at the other codes that end the range.
+    """
     lowest = -1 << bits - 1
     invalid = (counts == lowest).any(axis=1)
     at_end = (np.abs(counts.astype(np.int32)) == -lowest - 1).any(axis=1) & ~invalid
@@ -183,7 +187,9 @@ def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
 
 
 class Icm42688Fifo(QueuedHalf, Icm42688):
-    """Driver of one half read from the queue: a row is a packet with 8 bits of temperature, 2.07 per degC (TDK-82)."""
+    """Driver of one half read from the queue: a row is a packet with a temperature of 8 bits, 2.07 counts per degC
+    (TDK-82).
+    """
 
     burst: ClassVar[int] = 16
 
@@ -249,7 +255,7 @@ class Icm42688HighResolution(Icm42688Fifo):
         )
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 18 or 19 bits (the lowest code means no reading), and those of the temperature."""
+        """Return counts of 18 or 19 bits (the lowest code means no reading), and the temperature register's counts."""
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
         temperature = words16(bursts[:, 12:], ">i2")[:, 0]
         return DecodedBursts(counts, temperature, _status(counts, _HIGH_RESOLUTION_BITS[self.half]))

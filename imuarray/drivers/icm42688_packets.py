@@ -19,7 +19,7 @@ from imuarray.drivers.driver import Bytes
 ONE_TRIAD, BOTH_TRIADS, HIGH_RESOLUTION = 8, 16, 20
 """Sizes of packets in bytes."""
 ROW_BYTES = 14
-"""Size of one half's row from packets of high resolution: x, y, z of 32 bits, temperature of 16, big endian."""
+"""Size of a row of one half from packets of high resolution: x, y, z of 32 bits, temperature of 16, high byte first."""
 HALVES: Mapping[str, int] = MappingProxyType({"acc": 0x40, "gyro": 0x20})
 """Bit of the header that is set if the triad of this half is in the packet."""
 _EMPTY, _MORE_BITS, _PULSE = 0x80, 0x10, 0x0C
@@ -69,7 +69,7 @@ def widened(packets: bytes, half: str) -> bytes:
 
 
 def high_resolution_rows(packets: bytes, half: str) -> bytes:
-    """Return rows of one half (`ROW_BYTES` each) from packets of 20 bytes; without a reading the lowest code."""
+    """Return rows of one half (`ROW_BYTES` each) from packets of 20 bytes; the lowest code stands for no reading."""
     table = np.frombuffer(packets, np.uint8).reshape(-1, HIGH_RESOLUTION)
     first = _FIRST[half]
     upper = np.ascontiguousarray(table[:, first : first + 6]).view(">i2").astype(np.int32)

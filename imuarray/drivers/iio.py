@@ -69,7 +69,7 @@ def triads_of(device: IioDevice) -> list[str]:
 
 
 def rates_of(device: IioDevice) -> dict[str, float]:
-    """Return the data rate in Hz of each triad of a device, by quantity; 0 without one. SensorError, OSError."""
+    """Return each triad's data rate in Hz, by quantity; 0 if the driver states none. Raises SensorError, OSError."""
     rates = {}
     for quantity in triads_of(device):
         names = ("sampling_frequency", f"{CHANNELS[quantity][0]}_sampling_frequency")
@@ -407,7 +407,7 @@ class IioCapture:
         return self._clock is not None
 
     def set_up(self, sensor: IioSensor) -> None:
-        """Set the device up for all its sensors, unless just done for another of them. OSError, SensorError."""
+        """Set the device up for all its sensors, unless that was just done for another one. OSError, SensorError."""
         if self._set_up and sensor not in self._set_up:
             self._set_up.append(sensor)
             return
@@ -429,7 +429,9 @@ class IioCapture:
         self._set_up = [sensor]
 
     def _set_rate(self, config: SensorConfig, channels: Sequence[str]) -> None:
-        """Set the driver's data rate, if any: as configured, with a trigger the next higher; SensorError lists all."""
+        """Set the data rate, if the driver has one: the configured one, or with a trigger the lowest that is not
+        slower. SensorError if there is none, with the possible ones, or if the driver sets another one.
+        """
         rate_hz = config.chip_rate_hz
         names = ("sampling_frequency", *(f"{channel}_sampling_frequency" for channel in channels))
         for attribute in names:
@@ -470,7 +472,9 @@ class IioCapture:
                 member.queue.restart()
 
     def _choose_trigger(self, config: SensorConfig) -> None:
-        """Set the configured trigger, and its rate if it has one, or keep the present one; else SensorError."""
+        """Set the configured trigger, and its rate if it has one, or keep the trigger that is set. SensorError if the
+        trigger is unknown, if the device has none, or if none is set.
+        """
         attribute, wanted = "trigger/current_trigger", config.trigger
         current = self.device.read(attribute)
         if current is None:
@@ -511,7 +515,7 @@ class IioCapture:
 
 
 def _reach(elements: Sequence[ScanElement], offset: int) -> int:
-    """Return the largest magnitude of counts, from the types of the axes; by default of signed 16 bits."""
+    """Return the largest magnitude of counts, from the types of the axes; without types that of signed 16 bits."""
     ends = [
         (-(1 << element.bits - 1), 1 << element.bits - 1) if element.is_signed else (0, 1 << element.bits)
         for element in elements

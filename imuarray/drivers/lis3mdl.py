@@ -111,7 +111,9 @@ class Lis3mdl(ChipDriver):
         return self._read(facts.TEMP_OUT_L, 2) + self._read(facts.STATUS_REG, 7)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 16 bits, low byte first (LIS-14); stale without ZYXDA, overrun with ZYXOR (LIS-12)."""
+        """Return counts of 16 bits, low byte first (LIS-14), as the temperature. Stale where ZYXDA was clear, overrun
+        where ZYXOR was set (LIS-12).
+        """
         counts, temperature = words16(bursts[:, self.reading]), words16(bursts[:, 0:2])[:, 0]
         status = saturated(counts, -32768, 32767)
         status |= flagged(~bursts[:, 2], facts.ZYX_AVAILABLE.mask, STALE)

@@ -127,13 +127,13 @@ class Lsm6dsoFifo(QueuedHalf, Lsm6dso):
         return Lsm6dsoQueue(self.registers, self.clock, self.rate_hz, _QUEUE_ON)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Return the queue of the halves read at their data rate, with temperatures at intervals (LSM-42, LSM-43)."""
+        """Return the queue's settings: the data rate of its halves, a temperature at intervals (LSM-42, LSM-43)."""
         rates = dict.fromkeys(self.die_queue.halves, _RATE_CODES[self.rate_hz])
         batches = facts.GYRO_BATCH_RATE(rates.get("gyro", 0)) | facts.ACCEL_BATCH_RATE(rates.get("acc", 0))
         return facts.FIFO_CTRL3[7:0](batches.value), _QUEUE_ON
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Return counts of 16 bits, low byte first; with pulses the lowest bit of the rate's z is the mark (LSM-49)."""
+        """Return counts of 16 bits, low byte first; with pulses, bit 0 of the gyroscope's z is the mark (LSM-49)."""
         counts, temperature = words16(bursts[:, 1:7]), words16(bursts[:, 7:9])[:, 0]
         decoded = DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
         if not self.marks_pulses:

@@ -32,7 +32,9 @@ _MARGIN_S = 0.001
 _BANDWIDTHS_HZ = tuple(_MEASURED_S)
 _PERIODIC_SET = 0b011  # after 100 readings: MMC-16
 _FIELD_GAUSS = (0.05, 4.0)
-"""Least and largest field in gauss in the self-test: the earth's is 0.25 to 0.65 gauss, and iron adds to it."""
+"""Least and largest field strength in gauss for the self-test, half the difference between SET and RESET: the earth's
+field is 0.25 to 0.65 gauss, and iron nearby adds to it.
+"""
 _BRIDGE_GAUSS = 1.0  # MMC-20: within 0.5 gauss, typically
 
 
@@ -62,7 +64,9 @@ class Mmc5983(ChipDriver):
         self._bridge = self._flipped = np.zeros(3)
 
     def steps(self) -> Iterator[float]:
-        """Reset, take a reading after RESET and after SET, then start continuous ones; SensorError if one is late."""
+        """Reset, take a reading after a RESET and one after a SET, then start continuous readings; SensorError if one
+        of the two is not completed in time.
+        """
         self.registers.poke(facts.CONTROL_1, facts.SOFT_RESET(1).value)
         yield _RESET_S
         self._poke(self._bandwidth)
@@ -88,7 +92,9 @@ class Mmc5983(ChipDriver):
         self.registers.poke(setting.register, setting.value)
 
     def self_test(self) -> SelfTest:
-        """Check that SET and RESET reverse the elements: half the difference after them is the field (MMC-14)."""
+        """Check that SET and RESET reverse the elements: half the difference of the readings after them is the field,
+        their mean is the offset of the bridges (MMC-14).
+        """
         self.configure()
         field, middle = self._flipped / self.sensitivity, self._bridge / self.sensitivity
         strength = float(np.linalg.norm(field))

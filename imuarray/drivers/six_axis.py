@@ -43,7 +43,7 @@ INVENSENSE: Mapping[int, str] = MappingProxyType(
         0x98: "a clone sold as MPU-6050 (an original says 68, an ICM-20689 says 98)",
     }
 )
-"""The chips that answer at 0x68 and 0x69, by identity, in the same register (INV-02, -03, -70, TDK-03)."""
+"""The chips that answer at 0x68 and 0x69, by identity; all have it in the same register (INV-02, -03, -70, TDK-03)."""
 
 
 def factory_change(codes: bytes) -> Floats:
@@ -178,7 +178,9 @@ class QueuedHalf(SixAxisHalf):
     def with_marks(
         self, decoded: DecodedBursts, marks: Booleans, ages_s: float | Floats | None = None
     ) -> DecodedBursts:
-        """Return `decoded` with the time from the pulse to the rows that `marks` (n,): `ages_s`, or half a period."""
+        """Return `decoded` with the time from the pulse to each of the rows that `marks` (n,) selects: `ages_s`, or
+        half a period for a chip that does not measure it.
+        """
         ages_s = 0.5 / self.rate_hz if ages_s is None else ages_s
         return decoded._replace(compensated={SYNC_PULSE: np.where(marks, ages_s, np.nan)})
 

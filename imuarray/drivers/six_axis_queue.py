@@ -33,7 +33,9 @@ LONGEST_READS: Mapping[str, int] = MappingProxyType(
 )
 """Largest number of bytes of a read in one transaction, by bus."""
 LONGEST_READ = min(LONGEST_READS.values())
-"""Most bytes of a read on all buses, equal so that a transcript of one bus can replace another."""
+"""Largest number of bytes of a read that all buses can carry. Reads of a queue are split in the same way on all of
+them, so that a transcript of one bus can replace another bus.
+"""
 
 
 WANTED_NS = 20e3
@@ -41,13 +43,19 @@ WANTED_NS = 20e3
 LONGEST_WAIT_NS = 1_000_000
 """Longest wait in ns for the best time of this count; it is omitted if the wait would be longer."""
 BEFORE_COUNT = 0.4
-"""Share of a transaction before a count is latched: three bytes of five or six on I2C, one of three or four on SPI."""
+"""Share of a transaction after which a chip latches its count: three bytes of five or six on I2C, one of three or four
+on SPI.
+"""
 _FLAGS_AND_COUNT = 3
 """Number of bytes of INT_STATUS and the count of an ICM-42688-P; FIFO_DATA is the next register (TDK-85)."""
 _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
-"""Largest difference of a count from that expected since the last: samples, and a share for slow chips."""
+"""Largest difference of a count from the number expected for the time since the last one: a number of samples, and a
+share of the expected number for a slow chip.
+"""
 MOST_ROWS = 4096
-"""Most rows that wait for a half that is not visited; if more, all are dropped, and the next is flagged."""
+"""Largest number of rows that wait for a half that is not visited; if there are more, all are dropped, and the next row
+is flagged.
+"""
 
 
 class QueueReader:
@@ -147,7 +155,9 @@ class DieQueue:
         self._trusted = False
 
     def empty(self, by: QueueReader | None = None) -> None:
-        """Empty the queue, which restarts it: samples are missing, except for the half `by`, which requested it."""
+        """Empty the queue, which restarts it: samples of the halves are missing, except for the half `by`, which
+        requested it.
+        """
         self._flush()
         self._trusted = True
         self._restart()
@@ -155,7 +165,9 @@ class DieQueue:
             reader.clear(gap=reader is not by)
 
     def fetch(self, reader: QueueReader) -> bytes:
-        """Return the rows of one half; the first half drains the queue at every visit, the other if it has no rows."""
+        """Return the rows of one half. The half that joined first drains the queue at every visit, the other one if no
+        rows wait for it.
+        """
         if not reader.waits or reader is next(iter(self._readers.values())):
             if not self._trusted:
                 self.empty()
@@ -167,7 +179,9 @@ class DieQueue:
         return reader.take()
 
     def _look_again(self) -> None:
-        """Count again when a count tells most about the times of samples, if these are uncertain and it is soon."""
+        """Count once more, at the time at which a count gives the most information on the times of samples, if these
+        are uncertain and the wait is short.
+        """
         now_ns = self.clock.now_ns()
         at_ns = self.times.best_look_ns(now_ns, max(WANTED_NS, (1 - BEFORE_COUNT) * self._shortest_ns))
         if at_ns is None or at_ns - now_ns > LONGEST_WAIT_NS:
@@ -207,7 +221,7 @@ class DieQueue:
 
 
 class QueueRequest(NamedTuple):
-    """One transaction of a drain: `read` bytes from `register` on, or as many as `rule` takes from the last answer."""
+    """One transaction of a drain: `read` bytes from `register` on, or with `rule` as many as the last answer states."""
 
     register: Register
     read: int
@@ -216,7 +230,9 @@ class QueueRequest(NamedTuple):
 
 @runtime_checkable
 class UnattendedQueue(Protocol):
-    """A queue that a microcontroller drains by one transaction, or by a count, the counted packets, and flags."""
+    """A queue that a microcontroller without drivers drains: by one transaction, whose length need not match the count,
+    or by a count, the counted packets, and flags.
+    """
 
     ran_over: bool
     """True if it had overflowed before the samples that were accepted last."""
@@ -263,7 +279,9 @@ class AcceptedDrains:
         return 0 if self._at_ns is None else at_ns - self._at_ns
 
     def is_missing(self, count: int, taken: float, slack: float = _UNEVEN_SAMPLES) -> bool:
-        """Return whether a drain is missing, by the count of packets after about `taken` samples; True at first."""
+        """Return whether the count of packets shows that a drain is missing, if the chip took about `taken` samples
+        since the last one; always True before the first.
+        """
         return self._at_ns is None or self._unread + taken - count > slack + _UNEVEN_SHARE * taken
 
 
@@ -376,7 +394,7 @@ class Icm42688Queue(DieQueue):
         return is_trusted
 
     def _put(self, packets: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
-        """Store packets for their readers; `unread` more were counted. False if packets are missing between."""
+        """Store packets for their readers; `unread` more were counted. Return False if one is missing between them."""
         size = self.size
         count = len(packets) // size
         self._full = False
@@ -411,7 +429,9 @@ class Icm42688Queue(DieQueue):
 
 
 FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8
-"""Bits of USER_CTRL (6, 2), INT_STATUS (4), FIFO_EN (thermometer, gyro, accelerometer): INV-24, INV-27, INV-98."""
+"""Bits of USER_CTRL (6 and 2), INT_STATUS (4), and FIFO_EN with thermometer, gyroscope and accelerometer, equal in the
+family (INV-24, INV-27, INV-98).
+"""
 
 
 class MpuQueue(DieQueue):

@@ -84,7 +84,9 @@ def drain_of(queue: UnattendedQueue, address: int, rate_hz: float, pause_s: floa
 
 
 def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
-    """Return the visits of one reading, in order; ValueError for `fifo`, with any number of readings per visit."""
+    """Return the visits of one reading, in order; ValueError for a sensor with `fifo`, which returns any number of
+    readings per visit.
+    """
     if sensor.fifo:
         raise ValueError(f"sensor {sensor.name}: a queue is drained by its driver")
     if sensor.chip == "bmp180":
@@ -108,7 +110,9 @@ def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...
 
 
 def _bmp180(address: int) -> tuple[Visit, ...]:
-    """Return the visits of temperature, then pressure, read after its longest duration (BMP-40, BMP-44, BMP-46)."""
+    """Return the visits of temperature, then pressure: each is started, and read after its longest duration (BMP-40,
+    BMP-44, BMP-46).
+    """
     register = bytes([bmp180.CTRL_MEAS.address])
     start_temperature = Request(address, register + b"\x2e", 0)
     start_pressure = Request(address, register + b"\xf4", 0)
