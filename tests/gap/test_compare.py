@@ -132,9 +132,9 @@ def test_a_tone_is_detected_on_its_axis() -> None:
     root = found.localisation.root
     assert found.localisation.is_gap
     assert found.localisation.p == pytest.approx(1 / 41)
-    assert [node.path for node in root.found("chip")][:1] == [("l3g4200d",)]
-    assert [node.path for node in root.found("axis")] == [("l3g4200d", "G2", "y")]
-    domains = [node.path[-1] for node in root.found("domain")[:3]]
+    assert [node.path for node in root.significant("chip")][:1] == [("l3g4200d",)]
+    assert [node.path for node in root.significant("axis")] == [("l3g4200d", "G2", "y")]
+    domains = [node.path[-1] for node in root.significant("domain")[:3]]
     assert {"spectrum", "autocorrelation"} <= {*domains} <= {"spectrum", "autocorrelation", "allan"}
     first, *_ = found.localisation.p_by_place
     key = found.pairs.keys[first]

@@ -132,7 +132,7 @@ def test_an_effect_hidden_by_noise_in_one_unit_may_be_common(is_there: bool) -> 
     other = (WhiteNoise(1.0), LINE) if is_there else ()
     bench, campaign = prepared([("static", SHORT)], ["G1", "G2"], {"G1": (LINE,), "G2": other})
     found = compare_with_base(bench, campaign, Run(bench), 40)
-    assert [node.path[-1] for node in found.localisation.root.found("sensor")] == ["G1"]
+    assert [node.path[-1] for node in found.localisation.root.significant("sensor")] == ["G1"]
     shared = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True)])
     came = search_causes(found, {"tone": shared}, Run(bench))
     units = [unit for unit, rounds in came.rounds.items() if any(one.selection for one in rounds)]

@@ -39,13 +39,13 @@ def test_a_place_is_tested_against_its_siblings() -> None:
     scores[places("A1")[0]] = 2.0
     found = found_by(scores, chance)
     assert found.p == pytest.approx(1 / 41)
-    assert [node.path for node in found.root.found("sensor")] == [("l3g4200d", "G1")]
+    assert [node.path for node in found.root.significant("sensor")] == [("l3g4200d", "G1")]
     scores[places("A1")[0]] = -3.5
     both = found_by(scores, chance)
-    assert [node.path[1] for node in both.root.found("sensor")] == ["G1", "A1"]
+    assert [node.path[1] for node in both.root.significant("sensor")] == ["G1", "A1"]
     assert found_keys(both) == [KEYS[places("G1")[5]], KEYS[places("A1")[0]]]
     assert list(both.p_by_place.values()) == pytest.approx([1 / 41] * 2)
-    assert [child.is_significant for child in both.root.found("chip")[1].children] == [True, False]
+    assert [child.is_significant for child in both.root.significant("chip")[1].children] == [True, False]
 
 
 def test_a_sensor_that_has_been_located_does_not_hide_a_smaller_deviation() -> None:
@@ -55,9 +55,9 @@ def test_a_sensor_that_has_been_located_does_not_hide_a_smaller_deviation() -> N
     scores = np.zeros(len(KEYS))
     scores[places("A2")[0]], scores[places("A1")[0]] = 4.0, 2.0
     found = found_by(scores, chance)
-    assert [node.path[1] for node in found.root.found("sensor")] == ["A2", "A1"]
+    assert [node.path[1] for node in found.root.significant("sensor")] == ["A2", "A1"]
     scores[places("A2")[0]] = 2.5
-    assert not found_by(scores, chance).root.found("sensor")
+    assert not found_by(scores, chance).root.significant("sensor")
 
 
 def test_no_place_is_tested_without_a_gap() -> None:

@@ -72,7 +72,7 @@ def test_a_dead_bit_is_detected_over_all_phases(tmp_path: Path) -> None:
         compared = compare(recordings_of(logs), runner, Reference(None), replicates=REPLICATES)
         result = compared.comparison.localisation
         assert result.is_gap
-        (sensor,) = result.root.found("sensor")
+        (sensor,) = result.root.significant("sensor")
         assert sensor.path[1] == "Gyro3"
         (first, *_) = result.p_by_place
         assert compared.comparison.pairs.keys[first].probe == "absent_codes"

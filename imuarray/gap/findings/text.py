@@ -586,11 +586,11 @@ def _check(diagnosis: Diagnosis) -> Iterator[Line]:
         yield "  ", "No cause was accepted, so the simulator is unchanged"
     if use := use_text(diagnosis.uses, diagnosis.causes):
         yield "  ", use
-    left = _distinct(diagnosis.unexplained) if in_model else []
-    if left:
+    remaining = _distinct(diagnosis.unexplained) if in_model else []
+    if remaining:
         form = ", by no more than an inexact form of the causes makes" if diagnosis.verdict == "explained" else ""
         yield "  ", f"Still different{form}: {counted(len(diagnosis.unexplained), 'statistic')}"
-    for entry in left[:_WORST_AFTER]:
+    for entry in remaining[:_WORST_AFTER]:
         yield "    ", difference_text(entry, len(diagnosis.recorded))
 
 

@@ -111,7 +111,7 @@ class Node:
         """The level of the node, one of `LEVELS`."""
         return LEVELS[len(self.path)]
 
-    def found(self, level: str) -> tuple[Node, ...]:
+    def significant(self, level: str) -> tuple[Node, ...]:
         """Return the significant nodes of a level below it (or itself), the largest score first."""
         nodes = [node for node in self._all() if node.is_significant and node.level == level]
         return tuple(sorted(nodes, key=lambda node: -node.largest))
@@ -165,7 +165,7 @@ def localise(
         paths += [paths[at] for at in pooled.places.tolist()]
         scores, chance = np.append(scores, pooled.scores[0]), np.hstack([chance, pooled.scores[1:]])
     root = _Tree(paths, scores, chance, level).root()
-    significant = {int(node.path[-1]): node.p for node in root.found("statistic")}
+    significant = {int(node.path[-1]): node.p for node in root.significant("statistic")}
     order = sorted(significant, key=lambda at: -abs(scores[at]))
     return Localisation(root, {at: significant[at] for at in order}, limit)
 

@@ -212,7 +212,7 @@ def search_causes(
     """Search for all causes of a gap. If sensors are `known` to have one of the candidates' effects, only these are
     searched, and their first cause needs no proof.
     """
-    names = list(known) or [node.path[-1] for node in comparison.localisation.root.found("sensor")]
+    names = list(known) or [node.path[-1] for node in comparison.localisation.root.significant("sensor")]
     standings = _states_of(comparison, [(name,) for name in names], run)
     rounds: dict[Unit, list[Round]] = {}
     for number in range(ROUNDS):

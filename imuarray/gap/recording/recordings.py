@@ -471,10 +471,10 @@ def _without_processed(log: Log, names: Sequence[str]) -> tuple[list[str], list[
         return list(names), []
     processing = {name: texts for name in names if (texts := find_processing(log[name]))}
     kept = [name for name in names if name not in processing]
-    alike: dict[str, list[str]] = {}
+    names_of_text: dict[str, list[str]] = {}
     for name, texts in processing.items():
-        alike.setdefault("; ".join(texts), []).append(name)
-    sentences = [f"{listed(those)}: {text}" for text, those in alike.items()]
+        names_of_text.setdefault("; ".join(texts), []).append(name)
+    sentences = [f"{listed(group)}: {text}" for text, group in names_of_text.items()]
     if not kept:
         raise LogError(
             f"{log.path}: every sensor was processed, so a simulated chip would differ by that: {'; '.join(sentences)}."

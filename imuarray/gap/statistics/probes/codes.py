@@ -119,7 +119,7 @@ PROBES: Probes = {
         in_motion=False,  # depends on the level, which is known to less than a code only at rest
     ),
     "absent_codes": _probe(
-        "arcsine of the share of codes in the middle that never came", _STEPS, CODES, absent, resolution=_one_code
+        "arcsine of the share of absent codes among those in the middle", _STEPS, CODES, absent, resolution=_one_code
     ),
     "code_ends": _probe("arcsine of the share at the ends of the span", _CLIPPED, ROWS, at_ends),
     "code_pile": _probe(
