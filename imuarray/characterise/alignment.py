@@ -46,13 +46,15 @@ times, reduced by the median over `_PIECES` pieces, is added.
 @dataclass(frozen=True)
 class SensorAlignment:
     """Alignment of one sensor with the reference: its rows per second, their excess over the reference in parts per
-    million, and mean and standard deviation of the time from a row of the reference to this sensor's nearest (s).
+    million, and mean and standard deviation of the time from a row of the reference to the nearest row of this sensor
+    (s).
 
     `row_apart_s` is the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s`, with its
     standard error, is the delay of the sensor's response to a rotation; None if no motion determines it, and for
     sensors other than gyroscopes. `time_uncertainty_s` is the median of the largest errors of the sensor's times as
     stated in the log; None if not stated. `pulse_offset_s`, with its error, is the mean time by which this sensor's
-    times of the `pulses` synchronisation pulses in common with the sensor `pulses_from` are later; None without pulses.
+    times of the `pulses` synchronisation pulses in common with the sensor `pulses_from` are later than that sensor's;
+    None without pulses.
     """
 
     name: str
@@ -209,7 +211,9 @@ def _delays(gyroscopes: Sequence[SensorLog], start_ns: int) -> dict[str, tuple[f
 
 
 def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Floats]:
-    """Times (n,) in s after `start_ns` less the delay, and box rates (n, 3) in the sensor's unit; nan if flagged."""
+    """Return the times (n,) in s after `start_ns`, without the known filter delay, and the rates (n, 3) in the box
+    frame and the sensor's unit by its nominal sensitivity; nan where a row is flagged as saturated, stale or suspect.
+    """
     rows = gyroscope.between(start_ns, end_ns)
     times_s = (np.asarray(gyroscope.time[rows], np.int64) - start_ns - gyroscope.delay_ns) * 1e-9
     rates = np.asarray(gyroscope.counts[rows], float) / gyroscope.sensitivity @ gyroscope.orientation.T
@@ -218,7 +222,9 @@ def _rates(gyroscope: SensorLog, start_ns: int, end_ns: int) -> tuple[Floats, Fl
 
 
 def _is_strong(times_s: Floats, rates: Floats) -> bool:
-    """Return whether the motion exceeds the noise; fourth differences of noise have 70 times its variance."""
+    """Return whether the motion is strong enough compared with the noise. The variance of the fourth differences of
+    noise is 70 times that of the noise.
+    """
     noise = np.nanmedian(np.abs(np.diff(rates, 4, axis=0)), axis=0) / MEDIAN_ABSOLUTE / math.sqrt(70)
     derivative = np.gradient(rates, times_s, axis=0)
     step_s = float(np.median(np.diff(times_s)))
@@ -274,7 +280,8 @@ PULSE_WINDOW_S = 600.0
 LEAST_PULSES = 5
 _SHARE_OF_SPREAD = 0.5
 """Least scatter of the time differences of pulses, relative to that of pulses at uniformly distributed phases of the
-samples. Below it the pulses are assumed to be at fixed phases, and averaging gains nothing.
+samples. Below it the pulses are assumed to be at fixed phases, and the mean difference is no more precise than a single
+one.
 """
 _BLOCK_ROWS = 1 << 16
 

@@ -137,7 +137,7 @@ def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> 
 
 
 def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distances: Sequence[int]) -> list[float]:
-    """Return the same sums for a series with gaps: over ends e with `place` (n + 1,) >= 2m in their run."""
+    """Return the same sums for a series with gaps: over ends e whose `place` (n + 1,) in their run is at least 2m."""
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
     for start in range(0, len(phase), _BLOCK):
@@ -153,7 +153,9 @@ def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distance
 
 
 def _second_differences(phase: Values, m: int, start: int, stop: int, work: Floats) -> Floats:
-    """Return the second differences that end from `start` to `stop`; at short distance two use one first difference."""
+    """Return the second differences that end from `start` to `stop`; at a short distance each first difference serves
+    twice.
+    """
     count = stop - start
     block, middle = work[0, :count], phase[start - m : stop - m]
     if 4 * m <= count:
@@ -181,11 +183,12 @@ def allan_deviation(
     confidence: float = CONFIDENCE,
     estimator: Estimator = "overlapping",
 ) -> AllanCurve:
-    """Allan deviation of `values` (n,) or (n, k), column by column, sampled every `interval_s` seconds.
+    """Return the Allan deviation of `values` (n,) or (n, k), column by column, sampled every `interval_s` seconds.
 
     `factors` are averaging factors from 1 to n // 2; octaves if None. `confidence` is the share of intervals that
     contain the true deviation. `estimator`: "overlapping" uses every term, "decimated" one term in m / 8 or fewer rows.
-    ValueError for anything else: too few values, values not real and finite, an interval not positive.
+    ValueError for any other argument: fewer than two values, values that are not real and finite, an interval that is
+    not positive.
     """
     series = _checked(values, interval_s)
     used_factors = _factors(len(series), factors)
@@ -338,7 +341,8 @@ class AllanStream:
         self._rows += len(block)
 
     def curve(self, confidence: float = CONFIDENCE) -> AllanCurve:
-        """Return the Allan deviation of all rows so far, at sufficient factors; ValueError below two rows.
+        """Return the Allan deviation of all rows so far, at the factors for which they suffice; ValueError for fewer
+        than two rows.
 
         Octaves end at a third of the rows, given factors at half of them.
         """

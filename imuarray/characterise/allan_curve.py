@@ -168,7 +168,9 @@ class AllanCurve:
 
 @dataclass(frozen=True)
 class SeriesShape:
-    """Length of a series, seconds between rows, shape of a row: (), or (k,) for k columns; `runs` if it has gaps."""
+    """Length of a series, time between its rows, and shape of a row: () for one column alone, (k,) for k of them;
+    `runs` if it has gaps.
+    """
 
     rows: int
     interval_s: float
@@ -284,7 +286,7 @@ def make_curve(
 
 
 def _pooled_freedom(noise: Noise, factor: int, number: Sequence[int], terms: Sequence[int], stride: int) -> float:
-    """Return the degrees of freedom of the mean over `number` runs of `terms` terms each, which are independent."""
+    """Return the degrees of freedom of the mean over all runs: `number` independent runs have `terms` terms each."""
     used = [(count, size) for count, size in zip(number, terms, strict=True) if size > 0]
     total = sum(count * size for count, size in used)
     return total**2 / sum(count * size**2 / degrees_of_freedom(noise, factor, size, stride) for count, size in used)
@@ -305,7 +307,9 @@ _SPAN = 8.0
 """Ratio of averaging times over which the slope is computed: three octaves, about a decade."""
 
 _SLOPE_TOLERANCES = (0.02, 0.05, 0.1)
-"""Largest deviations of the slope from -1/2, tried in turn, to use the part that agrees best with white noise."""
+"""Largest deviations of the slope from -1/2. They are tried in this order, so that the part of a curve that agrees best
+with white noise is used.
+"""
 
 _SLOPE_FREEDOM = 20.0
 """Fewest degrees of freedom of a point from which a slope is computed."""
@@ -340,7 +344,9 @@ class Floor:
 def white_noise(
     tau_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64]
 ) -> WhiteNoiseEstimate | None:
-    """Estimate white noise from the shortest three octaves of one curve (t,) with slope -1/2; None without any."""
+    """Estimate white noise from the shortest three octaves of one curve (t,) with slope -1/2; None if no part has that
+    slope.
+    """
     if deviation.min() <= 0:
         return None
     parts = list(_parts(tau_s, freedom))
@@ -375,7 +381,9 @@ def floor(
     high: npt.NDArray[np.float64],
     freedom: npt.NDArray[np.float64],
 ) -> Floor | None:
-    """Return the lowest point of one curve (t,) with enough degrees of freedom; None without one or if constant."""
+    """Return the lowest point of one curve (t,) among those with enough degrees of freedom; None if no point has
+    enough, or for a constant series.
+    """
     sure = np.flatnonzero(freedom >= _FLOOR_FREEDOM)
     if len(sure) == 0 or deviation.min() <= 0:
         return None

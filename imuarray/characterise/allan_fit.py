@@ -12,10 +12,12 @@ random walk of the reading (rate random walk), R a ramp.
 Estimates at neighbouring tau are computed from the same rows. They are weighted by the inverse of their covariance
 under the fitted noise (generalised least squares; weights and fit alternate until they agree; no square is negative:
 Lawson and Hanson, "Solving Least Squares Problems", 1974). The sum of squared residuals is nearly chi-squared; a small
-tail probability shows that the curve is not a sum of these noises. In simulations 1 % of good fits are rejected.
+tail probability shows that the curve is not a sum of these noises. In simulations 1 % of good fits are rejected, for
+short and for long series.
 
 Covariance: the estimates at averaging factors m and m' are computed from the same series and are therefore correlated.
-With second differences D of the integrated series, M terms at m, M' at m', and Gaussian noise::
+With second differences D of the integrated series, M terms at m, M' at m', and Gaussian noise (the fourth moment of
+normal variables)::
 
     cov(avar_m, avar_m') = 1 / (4 m^2 m'^2 M M') * sum over i, j of (2 r(j - i)^2 + 4 mu mu' r(j - i))
 
@@ -52,19 +54,24 @@ _FINE = 12
 """Lags per averaging factor near the kinks of r; twice as many change a correlation by less than 0.003."""
 
 _FAR = 12.0
-"""Multiple of the longer factor beyond which flicker's r is computed from its fourth derivative, more exactly."""
+"""Multiple of the longer factor beyond which r of flicker noise is computed from its fourth derivative, which has a
+smaller rounding error.
+"""
 
 _WIDER = 1.06
 """Ratio of neighbouring lags far from the kinks."""
 
 
 _MOST_LENGTHS = 24
-"""Largest number of run lengths whose covariances are computed: a night with stalls has hundreds, mostly short."""
+"""Largest number of lengths of runs for which covariances are computed: a log of a night with stalls has hundreds of
+lengths, most of them short.
+"""
 
 
 def merge_similar(runs: Runs) -> Runs:
     """Return the runs (rows, number). If they have more than `_MOST_LENGTHS` different lengths, runs of similar lengths
-    are replaced by the same number of runs of their mean length, within a tenth.
+    are replaced by the same number of runs of their mean length: covariances change little within a tenth of the
+    length.
     """
     if len(runs) <= _MOST_LENGTHS:
         return runs
@@ -166,7 +173,8 @@ def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
 
 
 def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
-    """Return the lags at which r is taken, for m <= n; the pairs of starts at each; and the lags each represents.
+    """Return the lags at which r is taken, for m <= n; the number of pairs of starts at each lag; and the number of
+    lags that each represents.
 
     Lags are dense where r has kinks, near three multiples of n, and increasingly sparse elsewhere.
     """
@@ -182,7 +190,8 @@ def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
 
 _NEEDED = 5.41
 """Growth of the misfit on removal of a term from which on the term is needed. A term that is truly zero exceeds it with
-a probability of 1 %: it is fitted as zero with probability 1/2, otherwise the growth is chi-squared (1).
+a probability of 1 %: it is fitted as zero with probability 1/2, and otherwise the growth is chi-squared with one degree
+of freedom.
 """
 
 _SURE = 1.0
@@ -197,7 +206,9 @@ _LEAST_SIZE = 1e-3
 _WHITE = TERMS.index("white")
 
 _LEAST_KURTOSIS = -1.5
-"""Least excess kurtosis that is used; with only two codes it is -2, and the error of the variance would be 0."""
+"""Least excess kurtosis that is used. Readings with only two codes have -2, for which the computed error of the
+variance would be 0.
+"""
 
 _TURNS = 30
 _TURNS_OF_BOUND = 3
@@ -205,7 +216,9 @@ _CONVERGED = 1e-6
 
 
 class _RunWeights(NamedTuple):
-    """Runs of `rows` rows: `factors` with terms, `places` in a matrix over all factors, and shares in its entries."""
+    """Runs of `rows` rows: the `factors` at which they have terms, their `places` in a matrix over all factors, and the
+    shares in its entries of all these runs together.
+    """
 
     rows: int
     factors: tuple[int, ...]
@@ -261,7 +274,9 @@ class AllanEstimate:
         return decorrelated / spread
 
     def solution(self, terms: Sequence[int]) -> AllanSolution:
-        """Return the squared coefficients of `terms`, alternately fitted and weighted, once for each set."""
+        """Return the squared coefficients of `terms`, alternately fitted and weighted; computed once for each set of
+        terms.
+        """
         key = tuple(terms)
         if key not in self._solutions:
             self._solutions[key] = _solve(self, terms)
@@ -298,7 +313,9 @@ class AllanEstimate:
 
 @dataclass(frozen=True)
 class AllanSolution:
-    """Squared coefficients (5,) by `TERMS`, misfit, whitened design (t, 5) and whitened variances (t,) of the fit."""
+    """Squared coefficients (5,) by `TERMS`, their misfit, and the whitened design (t, 5) and whitened variances (t,)
+    that they were fitted to.
+    """
 
     theta: Floats
     misfit: float

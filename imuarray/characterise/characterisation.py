@@ -308,7 +308,9 @@ class Characterisation:
         return Coefficient(value, low, high, fitted["significant"], fitted["doubtful"], unit + _PER[term])
 
     def plot(self, kind: str = "allan") -> Figure:
-        """Return a figure "allan", "spectrum", "autocorrelation" or "histogram". LogError, MissingExtraError."""
+        """Return a figure of all sensors; `kind` is "allan", "spectrum", "autocorrelation" or "histogram". LogError for
+        another kind, MissingExtraError without matplotlib.
+        """
         if kind not in PLOTS:
             raise LogError(f"plot {kind!r}: allowed are {', '.join(PLOTS)}")
         from imuarray.characterise.plots import FIGURES
@@ -317,7 +319,8 @@ class Characterisation:
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` with a row for each axis: coefficients with their intervals, in the sensor's
-        unit, nan where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError.
+        unit, nan where a term was not fitted, and whether each is doubtful (`Coefficient`). MissingExtraError without
+        pandas.
         """
         from imuarray.log.datasets import optional_package
 

@@ -70,7 +70,9 @@ def histogram(values: npt.NDArray[np.integer]) -> Histogram:
 
 
 def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
-    """Return the histogram of each row of (k, n), counted at once unless the range of codes is much above n."""
+    """Return the histogram of each row of (k, n), all counted at once unless the range of the codes is much larger than
+    n.
+    """
     if values.shape[1] == 0:
         return [NOTHING] * len(values)
     low = values.min(axis=1)
@@ -99,7 +101,8 @@ class CodeGap:
 
 @dataclass(frozen=True)
 class End:
-    """The lowest or highest `code`, the `share` of readings with it, and the probability `p_value` of such a share.
+    """The lowest or highest `code`, the `share` of readings that have it, and the probability `p_value` of a share at
+    least as large.
 
     A density falls towards its ends, so that the last code is at most as frequent as the one before (binomial
     distribution of both together). nan if the spread is too narrow.
@@ -141,7 +144,9 @@ class CodeDensity:
 
 
 def code_density(distribution: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
-    """Return the statistics of a histogram of codes; `span` are the converter's end codes. ValueError if empty."""
+    """Return the statistics of a histogram of codes; `span` is the lowest and the highest code of the converter.
+    ValueError without readings.
+    """
     readings = int(distribution.counts.sum())
     if readings == 0:
         raise ValueError("a histogram needs readings")
@@ -311,7 +316,9 @@ def find_rails(sensor: SensorLog) -> Rails:
 
 
 def _at_end(distribution: Histogram, side: int, nominal: int, new_share: float) -> bool | None:
-    """Return whether a side's last code is a rail; None if that depends on motion. `new_share` of rows are new."""
+    """Return whether the last code on a side is a rail; None if that depends on whether the box moved. `new_share` of
+    the rows are readings of their own, and the others repeat them.
+    """
     code = int(distribution.codes[-1 if side > 0 else 0])
     distance = side * code
     if 0 < nominal - NOMINAL <= distance <= nominal:
@@ -323,7 +330,9 @@ def _at_end(distribution: Histogram, side: int, nominal: int, new_share: float) 
 
 
 def _is_pile(distribution: Histogram, side: int, share: float, new_share: float) -> bool:
-    """Return whether a side's last code is too frequent for its `share` and the codes before; `new_share` are new."""
+    """Return whether the last code on a side is significantly more frequent than the `share` of its readings and those
+    of the codes before it allows; `new_share` of its rows are readings of their own.
+    """
     code = int(distribution.codes[-1 if side > 0 else 0])
     count = int(new_share * distribution.counts[-1 if side > 0 else 0])
     step = usual_step(distribution)

@@ -32,7 +32,8 @@ class Autocorrelation:
 
     `correlation` (l, k); `error` (l, k) the standard error if there is no correlation at this lag or beyond (Bartlett,
     J. Roy. Stat. Soc. Suppl. 8, 1946). `portmanteau` (k,) is the statistic of Ljung and Box (Biometrika 65, 1978) over
-    all lags from 1, `p_value` (k,) the chance that white noise has a larger one. `rows` used, `left_over`, `segments`.
+    all lags from 1, `p_value` (k,) the chance that white noise has a larger one. `rows` used, `left_over` in no
+    segment, in `segments` segments.
     """
 
     lag: npt.NDArray[np.int64]

@@ -47,7 +47,9 @@ Place = tuple[str, str]
 
 @dataclass(frozen=True)
 class _Remark:
-    """A sentence about an axis ("": the sensor) with a field for each formatted of `numbers`, sorted by `values`."""
+    """A sentence about an axis of a sensor ("": about the sensor), with a field of `str.format` for each of the
+    `numbers`, which are already formatted and are sorted by `values`.
+    """
 
     place: Place
     sentence: str
@@ -125,7 +127,9 @@ def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
 
 
 def shares_times(kind: str, usual_s: float) -> bool:
-    """Return whether rows in bursts, usually `usual_s` apart, have equal times because the clock is coarse."""
+    """Return whether rows that arrive in bursts, usually `usual_s` apart, have the same times: the clock is coarse, and
+    the host was not late.
+    """
     return kind == "bursts" and usual_s < _SHARED_S
 
 
@@ -228,7 +232,7 @@ def _code_span(gap: Mapping[str, Any]) -> str:
 
 
 def _slow_change(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
-    """Describe axes with a variance larger than that of their spectrum, which lacks segment means."""
+    """Describe axes with a variance larger than that of their spectrum, from which each segment's mean is removed."""
     spectrum = sensor["spectrum"]
     if spectrum is None or spectrum["segments"] < _LEAST_SEGMENTS or len(spectrum["frequency_hz"]) < 2:
         return
@@ -280,7 +284,7 @@ class _AxisLine:
     line: Mapping[str, Any]
 
     def matches(self, other: _AxisLine) -> bool:
-        """Return whether both can be the same disturbance: equal in unit and, within resolution, in frequency."""
+        """Return whether both can be one disturbance: equal in unit and, within resolution and width, in frequency."""
         if self.unit != other.unit or (self.line["fundamental_hz"] is None) != (other.line["fundamental_hz"] is None):
             return False
         widths = [line["width_hz"] for line in (self.line, other.line)]

@@ -56,7 +56,9 @@ class TriadNoise:
 
 @dataclass(frozen=True)
 class ImuNoise:
-    """Noise of one IMU: name, ROS topic ("": none), rate and length of the record, noise of its triads by quantity."""
+    """Noise of one IMU: its name, its ROS topic ("" if it has none), rate and length of the record, and the noise of
+    its triads by quantity, one or both.
+    """
 
     name: str
     topic: str
@@ -77,10 +79,12 @@ class ImuNoise:
 
 
 def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> TriadNoise | None:
-    """Return a triad's noise from its axes' fits (terms, verdict); None if white noise has no upper limit."""
+    """Return the noise of a triad from the fits of its axes, each the terms by name and a verdict; None if its white
+    noise has no upper limit, so that nothing is known.
+    """
 
     def largest(term: str, part: str) -> float | None:
-        """Return the largest coefficient of the axes: of detected values, or of upper limits if there are none."""
+        """Return the largest detected coefficient of the axes, or the largest upper limit if none is detected."""
         terms = [item for axis in axes if (item := axis["terms"].get(term))]
         values = [item[part] for item in terms if part != "value" or item["significant"]]
         return max(values) * si_per_count if values else None

@@ -131,7 +131,7 @@ def _batches(rows: slice) -> Iterator[slice]:
 
 
 def _moments(levels: Floats) -> _RunningMoments:
-    """Moments of the rows of (k, n)."""
+    """Return the moments of the rows of (k, n)."""
     mean = levels.mean(axis=1)
     squares = ((levels - mean[:, np.newaxis]) ** 2).sum(axis=1)
     return _RunningMoments(levels.shape[1], mean, squares)

@@ -32,7 +32,9 @@ _AT_REST = 2.5
 """Factor over the scatter of the quietest window up to which windows are evaluated for noise."""
 
 _REST_WINDOWS = 3
-"""Number of consecutive windows at rest that show resampling more reliably than all rows, which motion disturbs."""
+"""Number of consecutive windows at rest in which resampling is detected more reliably than in all rows, which motion
+disturbs.
+"""
 
 _LEAST_MOTION = {"g": 0.03, "dps": 1.0, "gauss": 0.02}
 """Scatter of a window, by unit, above which the box moves. The spectrum of motion falls like that of a filter."""
@@ -46,18 +48,23 @@ CHIP_ORDER = 3
 """Highest order of the filters that chips have after their converters (ICM-42688-P: first to third)."""
 
 _BEYOND_ORDER = 0.5
-"""Factor on the density that a filter of `CHIP_ORDER` leaves one octave above its cutoff; less is steeper."""
+"""Factor on the density that a filter of `CHIP_ORDER` leaves one octave above its cutoff. A filter that leaves less is
+steeper.
+"""
 
 _LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
 """Frequency bands that are compared, relative to half the rate."""
 
 BEAT = 25.0
 """Least power of a line in the squared second differences, in medians of their periodogram and on all axes at once,
-that shows resampling: the noise then varies with the phase between two rates. An axis exceeds it once in 3e7 bins.
+that shows resampling: the noise then varies with the phase between two rates. One axis exceeds it by chance in one of
+3e7 bins.
 """
 
 _LINE = 20.0
-"""A fifth of the power, over the bins nearby, from which a line explains one at twice its frequency."""
+"""A fifth of the power, in medians of the bins near it, from which on a line of the readings themselves explains a line
+at twice its frequency in the squared second differences.
+"""
 
 HELD = 0.15
 """Share of repeated values on each axis above which repetition is not due to chance, in noise of many counts."""
@@ -130,7 +137,9 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
 
 
 def _middle_rows(sensor: SensorLog) -> tuple[Floats, Booleans, float]:
-    """Return the middle counts (n, 3) of a recording, which rows (n,) are saturated (codes repeat), and the rate."""
+    """Return the counts (n, 3) of the middle of a recording, which rows (n,) are flagged as saturated (their codes
+    repeat), and the rate.
+    """
     count = min(len(sensor), _MOST_ROWS)
     first = (len(sensor) - count) // 2
     rows = slice(first, first + count)
@@ -140,7 +149,9 @@ def _middle_rows(sensor: SensorLog) -> tuple[Floats, Booleans, float]:
 
 
 def _share_of_held_axes(windows: Floats) -> float:
-    """Return the share of values that repeat on single axes, beyond chance; 0 if all axes repeat together."""
+    """Return the share of values that repeat the one before on single axes, beyond chance; 0 if all axes repeat
+    together, as they do when a reading is read twice.
+    """
     same = np.diff(windows, axis=1) == 0
     shares = same.mean(axis=(0, 1))
     steps = np.diff(windows, axis=1)
@@ -165,7 +176,7 @@ _LEAST_CHANGES = 0.02
 
 
 def _windows(values: Floats, most: float, clipped: Booleans) -> Floats:
-    """Return the quietest windows (w, rows, 3) without `clipped` rows (n,), which scatter by less than `most`."""
+    """Return the windows at rest (w, rows, 3), which scatter by less than `most`, without `clipped` rows (n,)."""
     windows, is_still = _still_windows(values, most)
     is_clipped = clipped[: len(windows) * _WINDOW_ROWS].reshape(len(windows), _WINDOW_ROWS).any(axis=1)
     return np.asarray(windows[is_still & ~is_clipped])
@@ -198,7 +209,9 @@ def _densities(windows: Floats) -> Floats:
 
 
 class _LowPass(NamedTuple):
-    """A low-pass: frequency above which noise is missing; `is_steep` if less remains an octave above than of a chip."""
+    """A low-pass: the frequency above which noise is missing. `is_steep`: an octave above it, less remains than a
+    chip's filter leaves.
+    """
 
     cutoff_hz: float
     is_steep: bool
@@ -225,13 +238,17 @@ _OCTAVE_BELOW_END = 0.42
 
 
 def _octave_above(cutoff: float) -> float:
-    """Return the density an octave above a cutoff below which a filter exceeds `CHIP_ORDER` (Butterworth, bilinear)."""
+    """Return the density an octave above a cutoff (relative to half the rate) below which a filter has a higher order
+    than `CHIP_ORDER`: that of a Butterworth filter by the bilinear transform, with frequencies tan(pi f / rate).
+    """
     ratio = math.tan(math.pi * cutoff) / math.tan(math.pi * cutoff / 2)
     return _BEYOND_ORDER / (1 + ratio ** (2 * CHIP_ORDER))
 
 
 def _beat_hz(values: Floats, rate_hz: float) -> float:
-    """Return the frequency at which the noise level of all axes varies, as after interpolation; 0 without one."""
+    """Return the frequency at which the noise level of all axes varies, as it does in readings that were interpolated
+    from another rate; 0 if it does not vary.
+    """
     bends = np.diff(values, n=2, axis=0)
     scale = np.abs(bends).mean(axis=0)
     if (scale == 0).any():

@@ -6,7 +6,8 @@ are `APART` rows apart, where neither repeats nor the correlation of filtered no
 than a count from row to row over longer times, in all columns, can't be distinguished from repeats.)
 
 `Stalls` are frozen readings of an ICM-42688-P with its adaptive range on, where a rate passes 100 dps (TDK-18): the
-chip has no new reading for 1 to 2 ms at each passage, so that the row before it equals the previous one.
+chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the previous row in all
+axes.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ STALE_SHARE = 0.015
 THRESHOLD_DPS = 100.0
 LEAST_STALLS = 3
 LEAST_SHARE = 0.5
-"""Fewest stalls (`LEAST_STALLS`) and their least share of passages for a report; equal rows also occur by chance."""
+"""Fewest stalls (`LEAST_STALLS`), and least share of the passages with a stall, that are reported: equal rows also
+occur by chance.
+"""
 
 _BLOCK_ROWS = 4096
 

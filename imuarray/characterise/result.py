@@ -113,7 +113,9 @@ SLOW_FALSE_ALARM = 1e-3
 
 
 def find_slow_lines(spectrum: Spectrum, below_hz: float, column: int = 0) -> tuple[SpectralLine, ...]:
-    """Return the narrow lines of one column in long segments, below the frequency of the search in shorter ones."""
+    """Return the narrow lines in one column of a spectrum with long segments, below the frequency at which the search
+    in shorter ones begins.
+    """
     lines = find_lines(spectrum, column, SLOW_FALSE_ALARM).lines
     return tuple(line for line in lines if line.frequency_hz < below_hz)
 
@@ -143,7 +145,7 @@ def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
 
 
 def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
-    """Return the lines, each with the `fundamental_hz` that it is a multiple of, None if it is none."""
+    """Return the lines, each with the `fundamental_hz` that it is a multiple of, None if it is not a harmonic."""
     for line in lines:
         line["fundamental_hz"] = None
         for other in sorted(lines, key=lambda line: line["frequency_hz"]):

@@ -97,7 +97,7 @@ class Welch:
         self._run_segments = 0
 
     def update(self, values: Values) -> None:
-        """Add the next rows of the run, (n,) or (n, k); ValueError for other columns or infinite values."""
+        """Add the next rows of the run, (n,) or (n, k); ValueError if k differs or a value is not finite."""
         rows = values[:, np.newaxis] if values.ndim == 1 else values
         if rows.shape[1] != len(self._line):
             raise ValueError(f"values have {rows.shape[1]} columns, {len(self._line)} are required")
@@ -232,14 +232,16 @@ def _hann(rows: int) -> Floats:
 
 @lru_cache(maxsize=16)
 def _sides(bins: int) -> Floats:
-    """Return the factors of a one-sided density: 2, but 1 at 0 and at half the rate, without a negative frequency."""
+    """Return the factors of a one-sided density: 2, but 1 at 0 and half the rate, which have no negative frequency."""
     return np.array([1.0, *[2.0] * (bins - 2), 1.0])
 
 
 def degrees_of_freedom(segments: int, runs: int) -> float:
-    """Return the degrees of freedom of `segments` periodograms in `runs` runs: two each, less by overlap.
+    """Return the degrees of freedom of the mean of `segments` periodograms in `runs` runs, for noise: two each, reduced
+    by the overlap.
 
-    Neighbours correlate by 1/36: 2 K / (1 + 2 (K - R) / K / 36) (Welch 1967). 0 without a segment.
+    Periodograms of neighbouring segments correlate by 1/36, others don't: 2 K / (1 + 2 (K - R) / K / 36) (Welch 1967).
+    0 without a segment.
     """
     if segments == 0:
         return 0.0
@@ -252,14 +254,17 @@ def segment_rows(run_rows: int) -> int:
 
 
 _SLOW_SHARE = 1 / 128
-"""Decimation factor over the rows of another segment, for 128 rows each and 24 bins below a fifth of the rate."""
+"""Decimation factor divided by the rows of a segment of the other spectrum. A segment of that length has 128 decimated
+rows, so that its bins up to the 24th are below a fifth of the decimated rate.
+"""
 
 _SLOW_SEGMENTS = 5
 
 
 def slow_welch(rate_hz: float, run_rows: int, columns: int) -> SlowWelch | None:
     """Return the estimator for low frequencies, with few periods in the normal segments for runs of `run_rows`. It uses
-    at least five segments per run, of at most `SEGMENT` decimated rows. None if runs are too short for longer segments.
+    at least five segments per run, of at most `SEGMENT` decimated rows. None if the runs are too short for longer
+    segments than the normal ones.
     """
     factor = int(segment_rows(run_rows) * _SLOW_SHARE)
     if factor < 2:

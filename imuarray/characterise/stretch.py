@@ -1,4 +1,10 @@
-"""The part of a log that is evaluated: a phase at rest, and within it the longest run of rows at a steady interval."""
+"""The part of a log that is evaluated: a phase at rest, and within it the longest run of rows at a steady interval.
+
+`find_rate_changes` detects changes of the row rate: a setting that was changed, or a phone that saves power. The rows
+are divided into pieces of equal numbers of rows. A run of pieces ends where both the median interval and the mean
+interval without gaps change in two consecutive pieces: a coarse clock does not change the mean, and lost rows do not
+change the median. The row of the change is the one that best divides the intervals into those of the two rates.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +35,8 @@ alternating order has short and long intervals in turn, and the long ones are no
 
 @dataclass(frozen=True)
 class Stretch:
-    """The part of a log that is characterised: a phase, or all (`phase` None); `chosen_by` is the reason.
+    """The part of a log that is characterised: a phase, or all of it (`phase` None); `chosen_by` states the reason for
+    the choice.
 
     Rows between the times of `left_out` (ns) do not count as readings at rest; `remark` states the reason.
     """
@@ -162,7 +169,7 @@ def _intervals(sensor: SensorLog, part: slice) -> npt.NDArray[np.int64]:
 
 
 def broken_rows(status: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
-    """Return for (n,) flags whether the row does not continue the one before; the first by its own flags."""
+    """Return for (n,) flags whether the row does not continue the one before; the first row by its own flags only."""
     doubt = (status & SUSPECT) != 0
     broken: npt.NDArray[np.bool_] = ((status & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt
     broken[1:] |= doubt[:-1]
@@ -174,7 +181,9 @@ def _length(rows: slice) -> int:
 
 
 PIECE_ROWS = 64
-"""Fewest rows in a piece: its mean interval is then known to 7 % even with uniformly distributed sleeps."""
+"""Fewest rows in a piece: its mean interval is then known to 7 % even for a program that sleeps for a uniformly
+distributed time between its readings.
+"""
 
 PIECES = 512
 """Largest number of pieces, which limits the memory."""
@@ -233,7 +242,9 @@ def find_rate_changes(sensor: SensorLog) -> tuple[SteadyRun, ...]:
 
 
 def _intervals_s(sensor: SensorLog, edges: Indices, piece_rows: int) -> Floats:
-    """Return the median interval in pieces from rows `edges` (k,), and the mean without gaps, in s: (k, 2)."""
+    """Return the median of the intervals in each of consecutive pieces that begin at rows `edges` (k,), and the mean of
+    those that are not gaps, in s: (k, 2).
+    """
     times = np.asarray(sensor.time[int(edges[0]) : int(edges[-1]) + piece_rows + 1], np.int64)
     intervals = (np.diff(times).astype(float) * 1e-9).reshape(len(edges), piece_rows)
     medians = np.median(intervals, axis=1)

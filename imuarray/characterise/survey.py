@@ -1,15 +1,18 @@
 """A survey of a sensor's rows: all statistics in one pass, block by block, in memory that does not grow with the log.
 
 Rows are cut into runs wherever one doesn't continue the one before: at a gap, where readings were lost, where the chip
-was configured again or where its state is in doubt; rows in doubt are left out. Statistics never extend across a cut.
+was configured again or where its state is in doubt; rows in doubt are left out. Spectrum, autocorrelation and repeats
+never extend across a cut.
 
 Sampling intervals (`SamplingIntervals`) are counted in a histogram of fixed size. Its bins of 2^-16 of a typical
 interval (at least 1 ns) are the resolution of medians. A gap is an interval longer than 1.5 times the upper quartile.
-The upper quartile is usually near the median; of alternating intervals it is the longer.
+The upper quartile is usually near the median; for alternating intervals it is the longer of the two, however short the
+other is.
 
 Sensors that are polled in alternating order have a short and a long interval in turn: mean -+ a. Intervals then
 correlate by a^2 at even lags and -a^2 at odd ones. Independent jitter of the intervals or of the time stamps correlates
-at most neighbouring intervals, and does not contribute beyond lag 1. So a^2 is half the difference of those at 2 and 3.
+at most neighbouring intervals, and does not contribute beyond lag 1. Therefore a^2 is half the difference of the
+covariances at lags 2 and 3.
 """
 
 from __future__ import annotations
@@ -65,7 +68,8 @@ class SamplingIntervals:
     `median_s`; `mean_s` is that of the intervals that are not gaps. `alternation_s` is a if intervals alternate between
     mean - a and mean + a, otherwise 0. `jitter_rms_s` is the standard deviation of the intervals without this
     alternation, and `jitter_robust_s` the same from the median difference of intervals two rows apart, which outliers
-    and slow changes do not affect. `gaps` is the number of gaps, `gaps_s` their duration, `longest` the longest.
+    and slow changes do not affect. `gaps` is the number of gaps, `gaps_s` their total duration, `longest` the longest
+    ones.
     """
 
     rows: int
@@ -196,7 +200,9 @@ def _weighted_sum(counts: Times, values: Floats) -> float:
 
 
 def _quantile(values: Floats, counts: Times, share: float) -> float:
-    """Return a quantile of ascending `values` (b,) that occur `counts` (b,) times: the least one with this `share`."""
+    """Return a quantile of ascending `values` (b,) that occur `counts` (b,) times: the least value up to which there is
+    at least the `share` of all.
+    """
     total = np.cumsum(counts)
     return float(values[np.searchsorted(total, share * total[-1])])
 
@@ -205,7 +211,9 @@ MIN_ROWS = LEAST_RUN
 """Fewest rows of a run with an Allan deviation: two octaves."""
 
 EXACT_ROWS = 4_000_000
-"""Largest number of rows with the overlapping estimator by default: it holds a running sum of 4 or 8 bytes a row."""
+"""Largest number of rows with the overlapping estimator by default: it holds one column's running sum, 4 bytes per row,
+or 8 if the counts drift far.
+"""
 
 LAGS = 50
 
@@ -214,7 +222,8 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True)
 class Survey:
-    """Statistics of one sensor's stretch; `curve` is of `runs_of_curve` (None if too short), the others of all rows.
+    """Statistics of one sensor's stretch; `curve` is that of `runs_of_curve` (None if too short); the others include
+    all rows.
 
     `slow_spectrum` is that of low frequencies, with longer segments (None if the runs are too short); `histograms` one
     per column; `estimator` of the Allan deviation.
@@ -279,7 +288,9 @@ def survey(
 
 
 def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
-    """Return runs of rows for the Allan deviation: the longest, up to `EXACT_ROWS` rows; one for the decimated."""
+    """Return the runs of rows for the Allan deviation: the longest one, and the next ones by length while all together
+    have at most `EXACT_ROWS` rows. The decimated estimator uses only the longest one.
+    """
     if estimator == "decimated" or not timing.runs:
         return (timing.run,)
     selected: list[slice] = []

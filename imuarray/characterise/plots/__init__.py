@@ -1,6 +1,7 @@
 """Figures of a characterisation, drawn from the result of `characterise_log` alone.
 
-Needs matplotlib (extra "report"), imported when a figure is drawn, without display or global state.
+Needs matplotlib (extra "report"), imported when a figure is drawn. Bare `Figure`s with the Agg canvas: no display, no
+global state.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def marks(axis: Table, level: float) -> list[str]:
 
 
 def step_of(axis: Table, level: float) -> int:
-    """Return the usual step of codes; 1 if chance explains it, which gives n different codes with p = step^(1 - n)."""
+    """Return the usual step of the codes; 1 if it may be due to chance: step^(1 - n) for n different codes."""
     step: int = axis["codes"]["usual_step"]
     different = len(axis["histogram"]["codes"]) if axis["histogram"] else np.inf
     return step if step > 1 and float(step) ** (1 - different) <= level else 1
@@ -133,7 +133,9 @@ def _is_piled(end: Table, level: float) -> bool:
 
 
 def _is_far(end: Table, codes: Table, level: float) -> bool:
-    """Return whether Gaussian readings are unlikely to reach an end; its distance is reduced by a step."""
+    """Return whether Gaussian readings are unlikely to reach an end. The distance is reduced by a step, because the
+    measured spread of noise below a step is unreliable.
+    """
     distance = float(abs(end["code"] - codes["mean"]) - codes["step"]) / codes["std"]
     return bool(codes["readings"] * erfc(distance / sqrt(2)) / 2 <= level)
 

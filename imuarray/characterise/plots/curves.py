@@ -134,7 +134,9 @@ MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
 
 _MAINS_WITHIN_HZ = 0.1
 _BINS = slice(2, -1)
-"""Bins that are drawn: not the mean, bin 1 (attenuated by the removed means), and the last (half a density)."""
+"""Bins that are drawn. Excluded are bin 0, which is the mean, bin 1, which is attenuated by the removal of each
+segment's mean, and the last bin, which has half the density.
+"""
 
 _LINE_BINS = 3
 """The number of bins that a line covers on either side."""
@@ -272,7 +274,7 @@ def _label_lines(panel: Axes, curves: list[AxisCurve]) -> None:
 
 
 def line_label(line: Table) -> str:
-    """Return a line's frequency, and the mains frequency that it is an alias of, unless it is one itself."""
+    """Return a line's frequency, and the mains frequency that it is an alias of, unless it is a mains frequency."""
     for mains_hz in MAINS_HZ:
         if any(abs(alias_hz - mains_hz) <= _MAINS_WITHIN_HZ for alias_hz in line["aliases_hz"]):
             really = "" if abs(line["frequency_hz"] - mains_hz) <= _MAINS_WITHIN_HZ else f"{mains_hz:g} Hz "
@@ -291,7 +293,7 @@ _CORRELATION_READING = (
 
 
 def autocorrelation_figure(result: Table) -> Figure:
-    """Autocorrelations from lag 1 on, with the 95 % band of no correlation (of the sensor with the fewest rows).
+    """Draw autocorrelations from lag 1 on, with the 95 % band of no correlation (of the sensor with the fewest rows).
 
     Axes whose p-value, times the number of axes, is up to 1 % are in colour. MissingExtraError without matplotlib.
     """

@@ -59,7 +59,7 @@ class SensorPanel:
 
     @property
     def is_crowded(self) -> bool:
-        """Return whether there are more sensors than colours in the palette; they are drawn as thin lines."""
+        """Return whether there are more sensors than colours in the palette; they are then thin lines without bands."""
         return len(self.sensors) > len(COLOURS)
 
     @property
@@ -239,7 +239,7 @@ def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) ->
 
 
 def legend(panel: Axes, kind: SensorPanel, more: Sequence[Artist], notes: Mapping[str, str] | None = None) -> None:
-    """Draw a legend beside the panel: sensors by colour with a note, axes by dashes, and the artists `more`."""
+    """Draw a legend next to the panel: sensors by colour, each with a note, axes by dashes, and the artists `more`."""
     from matplotlib.lines import Line2D
 
     handles: list[Artist] = []
