@@ -1,4 +1,6 @@
-"""Report of a calibration: biases, scale factors, temperature slopes with errors, residuals of a log's poses."""
+"""Report of a calibration: biases, scale factors and temperature slopes with their standard errors, and the residuals
+of the poses of a log that it calibrates.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,9 @@ def _or_none(value: float | None) -> str:
 
 
 def residual_section(log: Log, calibration: Calibration, *, with_figures: bool) -> Section | None:
-    """Return the residuals of each accelerometer: specific force less 1 g in each pose; None for fewer than four."""
+    """Return the residuals of each accelerometer, the calibrated specific force less 1 g in each pose of the log; None
+    for fewer than four poses.
+    """
     sensors = [sensor for sensor in log.of("specific_force") if sensor.name in calibration.sensors]
     try:
         poses = named_faces(log) or (find_poses(log) if sensors else [])

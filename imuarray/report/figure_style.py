@@ -1,4 +1,5 @@
-"""Style of the figures of the gap and validation pages: panel, colours, logarithmic axes, safe names.
+"""Style of the figures of the gap and validation pages: panel, colours, logarithmic axes with plain numbers, safe
+names.
 
 Black is the recording, orange the simulation before the causes were added, blue after.
 """
@@ -39,7 +40,9 @@ def new_panel(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def plain_name(text: str, longest: int = 24) -> str:
-    """Return a name that matplotlib shows literally: dollars escaped, no control characters, at most `longest` long."""
+    """Return a name that matplotlib shows literally: dollars escaped, control characters replaced, at most `longest`
+    characters.
+    """
     name = "".join(sign if sign.isprintable() else "?" for sign in text)
     name = name if len(name) <= longest else name[: longest - 1] + "…"
     return name.replace("$", r"\$")

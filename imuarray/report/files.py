@@ -42,7 +42,8 @@ _NOISE = 0.2
 @dataclass(frozen=True)
 class PageContext:
     """The data that the sections of all files share: the calibrations, merged in their order, whether there are
-    figures, the callback for the share of the file that is done, and the number of processes.
+    figures, the callback for the share of the file that is done, and the number of processes, on which the result
+    does not depend.
     """
 
     calibration: Calibration
@@ -145,7 +146,9 @@ KINDS: Mapping[str, FileKind] = {
     "gap diagnosis": FileKind(lambda path: {"verdict", "causes"} <= {*_content(_file_of(path))}, _gap),
     "validation run": FileKind(lambda path: (path / "plan.json").is_file(), _validation),
 }
-"""The kinds of files that a page shows, in its order; the last are tried first: a fused result has a log's suffix."""
+"""The kinds of files that a page can show, in the order of a page. The last ones are tried first, because a fused
+result has the suffix of a log.
+"""
 
 _ALLOWED = (
     "allowed are logs and fused results (.h5), calibrations (.toml), gap.json or the folder of `gap diagnose -o`, and"

@@ -1,4 +1,6 @@
-"""Report of a fused result (technique, noise, sensors, values), and of each technique's gain on a log with truth."""
+"""Report of a fused result (technique, noise, use of sensors, values over time), and of the gain of each technique over
+the simple average on a log with truth.
+"""
 
 from __future__ import annotations
 
@@ -165,7 +167,9 @@ def _means(rows: Floats, first: Indices) -> Floats:
 
 
 def _quiet_error(variances: Floats) -> Floats:
-    """Return the lower quartile (3,) of the claimed errors, as at rest: in motion, uncertain times add to them."""
+    """Return the lower quartile (3,) of the claimed errors, to compare with the scatter at rest: in motion, the claim
+    includes the effect of uncertain times.
+    """
     finite = variances[np.isfinite(variances).all(axis=1)]
     quartile = np.quantile(finite, 0.25, axis=0) if len(finite) else np.full(3, np.nan)
     return np.asarray(np.sqrt(np.maximum(quartile, 0.0)))

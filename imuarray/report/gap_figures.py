@@ -1,4 +1,6 @@
-"""Figures of a gap diagnosis before and after the causes: map of scores, bars by domain, units of use, curves."""
+"""Figures of a gap diagnosis before and after the causes were added: the map of scores, bars of scores by domain,
+figures in units of use, and curves.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,9 @@ def overlay_figure(overlay: Overlay) -> Figure:
 
 
 def outside(overlay: Overlay, bands: Floats) -> float:
-    """Return the share of points outside the 95 % band (3, n) of simulations; nan if none can be compared."""
+    """Return the share of points at which the recording lies outside the 95 % band (3, n) of simulations; nan if no
+    point can be compared.
+    """
     known = np.isfinite(overlay.real) & np.isfinite(bands).all(axis=0)
     _, low, high = bands[:, known]
     real = overlay.real[known]

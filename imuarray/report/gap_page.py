@@ -1,4 +1,6 @@
-"""The page of a gap diagnosis: summary, where the gap is, its causes, what they close, and what remains."""
+"""The page of a gap diagnosis: its summary in sentences, where the gap is, its causes, how far they close it, and what
+remains unexplained.
+"""
 
 from __future__ import annotations
 
@@ -171,7 +173,7 @@ def _series(names: Sequence[str], word: str = "and") -> str:
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:
-    """Return the figure of use whose simulated value differs most from the recorded one; None without any."""
+    """Return the figure of use whose simulated value differs most from the recorded one; None if none is comparable."""
     return max(
         (use for use in uses if can_compare(use)),
         key=lambda use: abs(np.log(use.before.value / use.real.value)),
@@ -318,7 +320,9 @@ def _pulls(diagnosis: Diagnosis) -> Section:
 
 
 def pulls_table(pulls: Sequence[Pull]) -> Table:
-    """Return the `MOST_ROWS` largest pulls, those without a tolerance last; pulls out of tolerance are marked."""
+    """Return the `MOST_ROWS` quantities with the largest pulls, those without a tolerance last. A pull out of tolerance
+    is marked if no cause explains it.
+    """
     rows = []
     for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]:
         name, causes = f"{pull.sensor} {pull.axis}".rstrip(), ", ".join(pull.explained_by) or NOTHING
@@ -372,7 +376,9 @@ def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
 
 
 def _uses_table(uses: Sequence[Use]) -> Table:
-    """Return the figures in units of use with intervals; simulated ones are marked if the intervals do not overlap."""
+    """Return the figures in units of use with their intervals; a simulated one is marked if its interval does not
+    overlap that of the recording.
+    """
     rows = []
     for use in uses:
         simulated = [_against(estimate, use.real) for estimate in (use.before, use.after)]
@@ -543,7 +549,9 @@ _KINDS = {
 
 
 def curves_section(overlays: Sequence[Overlay], *, with_figures: bool) -> Section:
-    """Return the `MOST_OVERLAYS` curves farthest outside the band before, by kind; without figures, a table of all."""
+    """Return the section with the `MOST_OVERLAYS` curves that were farthest outside the band before the causes were
+    added, by kind; without figures, a section with a table of all curves.
+    """
     title = "Curves: real, before and after"
     if not overlays:
         return Section(title, "The diagnosis stored no curves. `gap diagnose -o DIR` draws them in DIR/report.html.")

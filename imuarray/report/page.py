@@ -50,7 +50,9 @@ _LAB = np.array(
         [0.0259040371, 0.7827717662, -0.8086757660],
     ]
 )
-"""Matrices from linear sRGB to cones, and from its cube root to OKLab (B. Ottosson, 2020)."""
+"""Matrices from linear sRGB to the response of the cones, and from its cube root to OKLab (B. Ottosson, A perceptual
+color space for image processing, 2020).
+"""
 
 _COLOUR = re.compile(r"(?<=[:\s])#[0-9a-f]{6}\b")
 _STYLED = re.compile(r'style="[^"]*"')
@@ -130,7 +132,9 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph, tables and figures; a `fold` is a line of text that hides these until it is opened."""
+    """A heading, a paragraph, and tables and figures. With a `fold`, a line of text, the parts are hidden until the
+    reader opens that line.
+    """
 
     title: str
     text: str
@@ -190,7 +194,9 @@ def write_page(
     verdict: Verdict | None = None,
     force: bool = False,
 ) -> None:
-    """Write the page; OutputExistsError if it exists without `force`, OutputError, MissingExtraError without jinja2."""
+    """Write the page. OutputExistsError if the file exists and `force` is false, OutputError if it cannot be written,
+    MissingExtraError without jinja2.
+    """
     require_page_package()
     from jinja2 import Environment
 

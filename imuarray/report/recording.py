@@ -32,10 +32,14 @@ from imuarray.units import SI_PER_UNIT
 SILENT_S = 1.0
 """Least time in s by which the readings of a silent sensor begin after those of the others, or end before them."""
 PERIODS = 2.5
-"""Pause, in periods of the sensor, above which readings are missing; alternating polls are up to two periods apart."""
+"""Length of a pause, in periods of the sensor, above which readings are missing. If the array is polled in alternating
+order, readings are up to two periods apart.
+"""
 
 _MOST_STRETCHES = 64_000
-"""Largest number of stretches of all sensors: 28 bytes each, a third more as text, so that the page is below 5 MB."""
+"""Largest number of stretches of all sensors together: 28 bytes each, a third more as text, so that the page is below
+5 MB.
+"""
 _MOST_OF_ONE = 4000
 """Largest number of stretches of a sensor."""
 _STATIC = 500
@@ -232,7 +236,9 @@ def _values(sensor: SensorLog, rows: slice, calibration: Calibration) -> Floats:
 
 
 def _period_ns(sensor: SensorLog) -> float:
-    """Return the usual time between readings: half the median of two steps, also for sensors polled alternately."""
+    """Return the usual time between two readings in ns: half the median duration of two consecutive steps, which is
+    constant even if sensors are polled in alternating order.
+    """
     time = np.asarray(sensor.time[: 4 * 4096], np.int64)
     return float(np.median(time[2:] - time[:-2])) / 2 if len(time) > 2 else float("inf")
 
@@ -240,7 +246,9 @@ def _period_ns(sensor: SensorLog) -> float:
 def _envelope(
     time: Times, values: Floats, first: npt.NDArray[np.intp], breaks: npt.NDArray[np.intp]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return times in s, least and greatest values of stretches from rows `first`, nan before each of `breaks`."""
+    """Return times in s and the least and greatest values of the stretches that begin at the rows `first` and `breaks`,
+    with a row of nan before each of `breaks`.
+    """
     first = np.union1d(first, breaks)
     last = np.append(first[1:], len(time)) - 1
     centre_s = (time[first] + time[last]) * 0.5e-9
@@ -341,7 +349,9 @@ def _encoded(values: Floats) -> str:
 
 @cache
 def scripts() -> tuple[str, ...]:
-    """Return the scripts to zoom a recording: BokehJS as installed, and `recording.js`; none without Bokeh."""
+    """Return the scripts to zoom a recording: BokehJS from the installed package, and `recording.js`; none without
+    Bokeh.
+    """
     package = find_spec("bokeh")
     if package is None or package.origin is None:
         return ()

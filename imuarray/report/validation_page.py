@@ -1,4 +1,6 @@
-"""The page of a validation run, HTML and Markdown: figures with requirements, failures, plots, settings."""
+"""The page of a validation run, in HTML and in Markdown: every figure with its requirement, those that fail, plots, and
+the settings of the run.
+"""
 
 from __future__ import annotations
 
@@ -242,7 +244,7 @@ def _causes(figures: Figures, plots: Plots) -> Section:
 
 
 def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
-    """Return the active mechanism, the reported cause and the number of cases of each confusion, the most frequent."""
+    """Return the active mechanism, the reported cause and the count of each confusion, the most frequent first."""
     confusion = figures.confusion
     confusions = [
         (count, truth, said)
@@ -307,7 +309,9 @@ _MOST_NAMED = 5
 
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return results for a committed page: date, command, thresholds, figures, failures, plots (file by text)."""
+    """Return a section of results for a committed page: date, command, fixed thresholds, every figure, those that miss
+    their bar, and plots (file by text alternative).
+    """
     lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
     lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
     lines += ["", "```sh", command.replace("```", ""), "```"] if command else []
@@ -358,7 +362,7 @@ def summary_lines(figures: Figures) -> Iterator[str]:
 
 
 def transfer_rows(figures: Figures) -> Iterator[list[str]]:
-    """Yield the name of each figure that several worlds have, value and cases in each, and the transfer gap."""
+    """Yield each figure that several worlds have: its name, its value and cases in each world, and the transfer gap."""
     for transfer in figures.transfers:
         cells = [transfer.rows.get(world) for world in figures.worlds]
         values = [f"{decimal(row.value)} ({row.cases})" if row else "–" for row in cells]

@@ -1,4 +1,6 @@
-"""The verdict that opens a page: a sentence on the quality of a recording, calibration or result, and figures."""
+"""The verdict that opens a page: one sentence on the quality of a recording, a calibration or a fused result and on
+what to do, with a few figures.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ _CLAIMED = 1.5
 
 
 def recording_verdict(log: Log, doubts: Sequence[str] = ()) -> Verdict:
-    """Return whether a recording is healthy, or what to do; `doubts` about an import add their number and the first."""
+    """Return whether a recording is healthy, and what to do if it is not; with `doubts` about an imported recording,
+    their number and the first of them.
+    """
     sensors = log.sensors
     first_ns = min((int(sensor.time[0]) for sensor in sensors.values() if len(sensor)), default=0)
     last_ns = max((int(sensor.time[-1]) for sensor in sensors.values() if len(sensor)), default=0)
@@ -141,7 +145,9 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
 
 
 def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
-    """Return the text on angles of accelerometers, and turns of gyroscopes, that were not measured; "" without any."""
+    """Return the text on accelerometers whose angles between axes are those of the data sheet, and on gyroscopes that
+    were hardly turned about some box axes; "" if there are none.
+    """
     nominal = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
     angles = f"; the angles between the axes of {_listed(nominal)} are the data sheet's" if nominal else ""
     uncertain = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}
@@ -247,7 +253,9 @@ _ORDER = ("bad", "doubtful", "neutral", "good")
 
 
 def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
-    """Return one verdict for several: the worst, or that all is in order, with figures of each; None without any."""
+    """Return one verdict for several: the worst, or that everything is in order, with the first figure of each verdict
+    before the second ones. One verdict is returned as it is; None if there are none.
+    """
     if len(verdicts) < 2:
         return verdicts[0] if verdicts else None
     ranked = sorted(verdicts, key=lambda verdict: _ORDER.index(verdict.level))
