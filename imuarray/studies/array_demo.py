@@ -45,7 +45,9 @@ _RUNS = {"static": "at rest", "heating": "heated", "shaking": "shaken"}
 
 @dataclass(frozen=True)
 class ArrayError:
-    """Errors of one quantity in a run, in SI, rms over axes: of each single sensor, and of results by technique."""
+    """The errors of one quantity against the truth in one run, in SI, rms over the three axes: of each single sensor by
+    its name, and of the fused results by technique.
+    """
 
     run: str
     quantity: str

@@ -48,7 +48,8 @@ Rows = Sequence[tuple["GainCase", Gain]]
 
 @dataclass(frozen=True)
 class GainCase:
-    """A comparison of a technique with the average, on sensors of a run, by scatter or drift of the error.
+    """One comparison of a technique with the average, on some sensors of one run, by the scatter or by the drift of the
+    error.
 
     `claim` is the quantity for which the paper expects a gain in this case, "" if it expects none.
     """
@@ -88,7 +89,7 @@ CASES = (
 
 
 def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
-    """Return the gains of every case, for each quantity and axis; techniques on one sample in one pass."""
+    """Return the gains of every case, by quantity and axis; techniques on the same sample are evaluated in one pass."""
     gains: dict[GainCase, list[Gain]] = {}
     for run, only, names in dict.fromkeys(case.sample for case in CASES):
         cases = [case for case in CASES if case.sample == (run, only, names)]
@@ -304,7 +305,9 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
 
 
 def drift_of_gyroscopes(log: Log, calibration: Calibration, temperature: tuple[Any, Any]) -> DrawnFigure:
-    """Draw the error about box Y of every gyroscope, their average and opposed axes, over `temperature` (s, degC)."""
+    """Draw the error about box Y of every gyroscope, of their average and of the technique "opposed" over time, and the
+    `temperature`: times in s, and degC.
+    """
     single = {
         sensor.name: _slow_error(*errors_of(log, fuse(log, calibration, "mean", only=[sensor.name]))["angular_rate"])
         for sensor in log.of("angular_rate")
@@ -380,7 +383,9 @@ REPLICATES = 60
 
 
 def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
-    """Record, calibrate, fuse and report into `folder`; return a JSON-ready summary. OutputExistsError at first."""
+    """Record, calibrate, fuse and report into `folder`; return the summary, JSON-ready. OutputExistsError before
+    anything is recorded, unless `options.force`.
+    """
     prepare_folder(folder, options.force)
     logs, tumble, calibration = record_and_fuse(config, folder, options, report)
     rows = compare(logs, calibration)
@@ -404,7 +409,9 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -
 def diagnose_rest(
     path: Path, folder: Path, only: Sequence[str], seed: int, report: Report
 ) -> tuple[Diagnosis, dict[str, Any]]:
-    """Compare `only` these sensors at rest with a simulator, write gap.html; return the diagnosis and all noise."""
+    """Compare the sensors `only` of the run at rest with a simulator, write gap.html, and return the diagnosis and the
+    noise of all sensors.
+    """
     report("diagnosing")
     with open_log(path) as log:
         diagnosis = diagnose([log], only=only, seed=seed, replicates=REPLICATES)
@@ -429,7 +436,9 @@ def demo_summary(
 
 
 def prepare_folder(folder: Path, force: bool, further_files: Sequence[str] = ()) -> Path:
-    """Create and return the folder; OutputExistsError if it has one of its files or `further_files`, unless `force`."""
+    """Create the folder and return it; OutputExistsError if it contains a file of the demonstration or one of
+    `further_files`, unless `force`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     existing = [
         "report.html",
@@ -472,7 +481,7 @@ def drift_figure(
     unit: str,
     temperature: tuple[Reals, Reals] | None,
 ) -> DrawnFigure:
-    """Draw slow errors (n,) of sensors and results over time, and the temperature (time, degC) below."""
+    """Draw the slow errors (n,) of sensors and of fused results over time, and the temperature (time, degC) below."""
     figure = new_figure(8.0, 5.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     for number, values in enumerate(single.values()):

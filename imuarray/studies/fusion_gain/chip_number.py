@@ -46,8 +46,9 @@ _RAD_PER_ROOT_S = math.degrees(1.0) * 60.0  # as degrees per root hour
 @dataclass(frozen=True)
 class NumberRow:
     """Results with the first `count` gyroscopes, rms over seeds and axes: angle random walk of their mean in
-    deg/sqrt(h); drift of the mean in deg/s during heating with a slope for each unit, with a shared slope and units in
-    one direction, and with a shared slope and units as the array is mounted; bus time of a frame in us.
+    deg/sqrt(h); drift of the mean in deg/s during heating with an individual slope for each unit, with a shared slope
+    and all units in one direction, and with a shared slope and units as the array is mounted; bus time of a frame in
+    us.
     """
 
     count: int
@@ -125,7 +126,9 @@ def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
 def _simulate(
     array: ArrayConfig, experiment: str, frames: tuple[float, float], seed: int, path: Path, slopes: str = OWN
 ) -> None:
-    """Simulate a log of `frames` (rate in Hz, seconds); with `SHARED` slopes all sensors have that of the first."""
+    """Simulate one log; `frames` are their rate in Hz and their duration in s. With `SHARED` slopes, all sensors have
+    the temperature slope of the first, in their own axes.
+    """
     plan = plan_of(array, *frames)
     model = load_model(configs() / "models" / "datasheet.toml")
     effects = dict(effects_of(plan, model, seed))
@@ -154,7 +157,9 @@ def _errors(path: Path) -> tuple[Times, Floats]:
 
 
 def _bus_us(sensor: SensorConfig) -> float:
-    """Return the time of one burst in us, by the clocks of its bytes: BUS-07; on SPI, one byte more than the data."""
+    """Return the time of one burst of the chip in us, from the clocks of its bytes (BUS-07). On SPI, a burst has one
+    byte more than the data.
+    """
     size = sensor.spec.burst_bytes
     if sensor.on_spi:
         return 1e6 * 8 * (size + 1) / sensor.spi_rules.clock_hz

@@ -1,8 +1,9 @@
 """The Bayesian Cramer-Rao bound of an array whose errors have a known distribution, and the estimate that reaches it.
 
-Reading i of axis k is ``d_k. u(t_i) + c_k(t_i) + w_k(t_i)``. u is unknown in every frame (a flat prior, independent in
+Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. u is unknown in every frame (a flat prior, independent in
 time); the slow errors c are jointly normal, the noise w is white. The model is linear and normal, so the bound (Van
-Trees, Detection, Estimation, and Modulation Theory I, 1968, 2.4) is the posterior covariance.
+Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) equals the posterior covariance and is
+reached.
 
 Let N = R^-1/2 whiten the noise, let the columns of V be an orthonormal basis of the complement of the range of N D (the
 parity space: m - 3 directions), and let G = (D' R^-1 D)^-1 D' R^-1 be the weights of a single frame. Then::
@@ -12,7 +13,8 @@ parity space: m - 3 directions), and let G = (D' R^-1 D)^-1 D' R^-1 be the weigh
 
 because G w and V' N w are uncorrelated. Over a stretch in which c is constant, L frames of y are equivalent to their
 mean with noise of variance 1 / L, so frames are aggregated without loss, at any rate of the log. c at all stretches is
-one normal vector (T m,), which is conditioned on one stretch after the other by dense linear algebra.
+one normal vector (T m,), which is conditioned on one stretch after the other by dense linear algebra, without a
+state-space form or a filter.
 
 The causal bound of a stretch is conditioned on its own and all earlier readings; because these include all readings of
 the stretch, it is below the error of a filter within the stretch. The smoothed bound is conditioned on all readings.
@@ -78,7 +80,9 @@ class ErrorLaw:
 
 @dataclass(frozen=True)
 class StretchReadings:
-    """`frames` of a stretch in which the axes `known` (m,) had a reading, and its mean `mean_si` (m,) if needed."""
+    """`frames` frames of one stretch in which the same axes `known` (m,) had a reading; `mean_si` (m,) is the mean of
+    their readings, if it is needed.
+    """
 
     known: Booleans
     frames: int
@@ -150,7 +154,9 @@ def slow_covariance(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Floats:
 
 
 def frame_weights(law: ErrorLaw, present: Booleans) -> tuple[Floats, Floats]:
-    """Return one frame's weights G (3, m), zero without a reading, and covariance (3, 3); FusionError if too few."""
+    """Return the weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3);
+    FusionError if the axes don't span space.
+    """
     rows = law.directions_box / law.noise_si[:, None] * present[:, None]
     normal = rows.T @ rows
     if not np.linalg.cond(normal) < 1e9:
@@ -202,14 +208,18 @@ OUTSIDE = tuple(name for name in EFFECTS if name not in _INSIDE)
 
 
 def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> Calibration:
-    """Return the true parameters of these units as a calibration: all that is the same in every boot, without error."""
+    """Return the true parameters of these units as a calibration: all parameters that are the same in every boot,
+    without error.
+    """
     inertial = {header.name: header for header in headers if header.quantity in INERTIAL}
     sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in inertial.items()}
     return Calibration(sensors, ("the simulated units' own parameters",))
 
 
 def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> ErrorLaw:
-    """Return the law of the errors after `true_calibration`, per axis of these sensors, in SI along their true axes."""
+    """Return the law of the errors that `true_calibration` does not remove, per axis of these sensors (of one
+    quantity), in order, in SI along their true axes.
+    """
     units = [_calibrated(header, effects.get(header.name, ())) for header in headers]
     noise = np.concatenate([unit.noise_lsb / unit.lsb_per_si for unit in units if unit.noise_lsb is not None])
     rows = np.concatenate([unit.directions_box for unit in units])
@@ -271,7 +281,8 @@ def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
 
 STRETCHES = 60
 """Number of stretches of a log; those of the longest log last 11 s. Slow errors of the simulated array have time
-constants of 600 s. About its mean over 11 s, this error has 11 / 600 / 3 = 0.6 % of its variance.
+constants of 600 s. About its mean over 11 s, this error has 11 / 600 / 3 = 0.6 % of its variance, which is itself small
+compared with the noise.
 """
 
 
@@ -338,7 +349,9 @@ class Posterior:
 
 
 def axes_known(part: Frames) -> Booleans:
-    """Return (n, m) whether an axis had a reading: it is valid, or beyond its range and another axis is not."""
+    """Return (n, m) whether an axis had a reading: it is valid, or it is within its range while another axis of its
+    triad is beyond.
+    """
     if part.clipped is None or not part.clipped.any():
         return part.valid
     triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)

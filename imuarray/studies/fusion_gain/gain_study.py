@@ -1,9 +1,11 @@
 """The study: simulated experiments, fused by every technique and compared with the truth, the average and the bound.
 
 `run` simulates one experiment with one seed and measures every technique; `study` does all runs and summarises them as
-ratios with intervals over the seeds; `render_text` prints the result. `ARRAYS` are simulated, `SETS` are fused.
+ratios with intervals over the seeds; `render_text` prints the result. `ARRAYS` are the simulated arrays, `SETS` the
+sensors that are fused together.
 
-Calibrations are from simulated logs of the same units, at other switch-ons.
+The calibrations are those that `calibrate` makes from simulated logs of the same units, recorded at other switch-ons
+than the logs that are fused.
 """
 
 from __future__ import annotations
@@ -75,7 +77,9 @@ of Gyro1, Gyro2 and Gyro3, and its specific force that of all six accelerometers
 """
 
 RATE_HZ = 48.0
-"""Frames per second, as of the paper's array; at exactly 50 Hz the gyroscopes' 50 Hz tone would be a constant."""
+"""Frames per second: approximately the rate of the paper's array. At exactly 50 Hz, the 50 Hz tone of the gyroscopes
+would be a constant.
+"""
 
 TUMBLE_S, HEATING_S, BOOT_S = 300.0, 900.0, 30.0
 BOOTS = 12
@@ -83,7 +87,9 @@ _FIRST_BOOT = 1000
 """First boot number of the logs for calibration, larger than that of any log that is fused."""
 
 FAULTS = ("range_reset",)
-"""Effect that is never simulated: another range at start-up is a fault to detect, not an error to average."""
+"""Effect that is never simulated: a unit that starts in another range is a fault to be detected, not an error to be
+averaged.
+"""
 
 SLOPES = "measured"
 NO_SLOPES = "no slopes"
@@ -102,7 +108,8 @@ def simulate(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: 
 @lru_cache(maxsize=4)
 def calibrate_units(array_name: str, seed: int) -> Mapping[str, Calibration]:
     """Return the calibrations by name: "no slopes", biases and responses from the six faces with noise and turn-on;
-    "measured", the same with slopes from a heating log. The result is cached: a seed has the same units.
+    "measured", the same with slopes from a heating log. The result is cached: all experiments with one seed have the
+    same units.
     """
     array = ARRAYS[array_name]()
     with TemporaryDirectory(prefix="imuarray_study_") as folder, ExitStack() as stack:
@@ -434,7 +441,9 @@ WORDS = {
 
 
 def render_text(study: Study) -> str:
-    """Return the results as text: error lengths, a line per technique that changes the result; then coasting."""
+    """Return the results as text: the lengths of error vectors, one line for each technique that changes the result;
+    then the results of coasting.
+    """
     return "".join(f"{line}\n" for line in _lines(study))
 
 

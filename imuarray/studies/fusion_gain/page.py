@@ -66,7 +66,9 @@ class HeatingErrors(NamedTuple):
 
 
 def simulate_heating(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
-    """Return one heating of the paper's array, fused without slopes; techniques equal to the average are omitted."""
+    """Return one heating of the paper's array, fused with a calibration without slopes; techniques with the result of
+    the average are omitted.
+    """
     experiment = EXPERIMENTS["heating"]
     motion = MOTIONS[experiment.motion](ExperimentOptions(seconds=seconds or experiment.seconds))
     results: dict[str, Floats] = {}
@@ -95,7 +97,9 @@ _MARKERS = "osD^vPX*"
 
 
 def ratios_figure(panels: Mapping[str, Sequence[GainRow]], ratio_name: str) -> Drawing:
-    """Draw a panel per heading, a row per experiment, a mark per technique: its ratio `ratio_name` with interval."""
+    """Draw a panel for each heading, with a row for each experiment and a mark for each technique: its `over_mean` or
+    `over_bound` (`ratio_name`) with its interval.
+    """
     figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
     axes_row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     techniques = list(dict.fromkeys((*technique_names(), OPTIMAL_CAUSAL, CAUSAL, SMOOTHED)))
@@ -135,11 +139,15 @@ def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequen
 
 
 _BEYOND = 3.0
-"""Limit of an interval in multiples of the largest ratio; intervals from few seeds can be very long."""
+"""Limit of an interval in multiples of the largest ratio. Longer intervals are cut off there, because an interval from
+few seeds can be very long.
+"""
 
 
 _MOST_RATIO = 4.0
-"""Largest ratio that is drawn to scale; a larger one would compress all others and is an arrow with its value."""
+"""Largest ratio that is drawn to scale. A larger one is drawn as an arrow with its value at the edge, because it would
+compress all others.
+"""
 
 
 def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], colour: str) -> None:
@@ -170,7 +178,9 @@ def _reach(ratios: Sequence[Ratio]) -> Floats:
 def heating_figure(
     time_s: Floats, curves: Mapping[str, Sequence[Floats]], temperature: tuple[Floats, Floats], unit: str
 ) -> Drawing:
-    """Draw ten-second means of the errors along box X, Y and Z of techniques (three (n,) each), and the temperature."""
+    """Draw ten-second means of the errors along box X, Y and Z of some techniques (three (n,) each), and the
+    temperature.
+    """
     figure = new_figure(9.0, 7.0)
     axes_column = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
     for axis, axes in enumerate(axes_column[:3]):

@@ -65,12 +65,14 @@ WINDOW_S = 300.0
 PARTS = 15
 """Number of consecutive windows, and of runs, of which Table 11 gives the standard deviation."""
 TIME_CONSTANT_S = 600.0
-"""Time constant in s of the in-run wander, the same for all channels. Three columns of the paper bracket it.
+"""Time constant in s of the in-run wander, the same for all channels. The paper does not print it; three columns
+bracket it.
 
 It is longer than 100 s. After subtraction of the drift with temperature, the first and last face of Table 10 differ by
 a median of 1.6 in-run deviations of Table 11; a time constant of 100 s predicts 0.64, 600 s predicts 0.94 and 3000 s
 predicts 1.4. The ratio of range to deviation of Table 11's fifteen windows is 3.39 on average; independent windows have
-3.54, and a time constant of 600 s gives 3.45. It is shorter than 1000 s, since BMA3's x and y vary more within a run.
+3.54, and a time constant of 600 s gives 3.45. It is shorter than 1000 s, because x and y of BMA3 vary less from run to
+run than within a run.
 """
 
 
@@ -81,7 +83,7 @@ def variance_of_mean(window_s: float, time_constant_s: float = TIME_CONSTANT_S) 
 
 
 def covariance_of_means(windows_apart: int, window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
-    """Return the covariance of the means over two windows, `windows_apart` >= 1 windows from each other."""
+    """Return the covariance of the means over two windows; the second begins `windows_apart` >= 1 windows later."""
     ratio = time_constant_s / window_s
     decay = exp(-1 / ratio)
     return ratio**2 * (1 - decay) ** 2 * decay ** (windows_apart - 1)
@@ -167,7 +169,7 @@ def tone_dps() -> float:
 
 
 def gyro3_other_state_lsb() -> Floats:
-    """Return the step from Gyro3's first state of Table 7 to its second (8 of 15 runs), in counts."""
+    """Return the step in counts from Gyro3's first state of Table 7 to its second, in which 8 of 15 runs started."""
     first, second = bias_states()
     return np.asarray(np.array(second.centre) - np.array(first.centre))
 
@@ -255,20 +257,26 @@ def _noise(name: str, design: str, lsb: float) -> Floats:
 
 
 def _in_run(name: str, slope: Floats) -> Floats:
-    """Return the rms of the in-run wander by Table 11's in-run deviation less white noise and thermal drift."""
+    """Return the rms of the in-run wander from Table 11's in-run deviation, after subtraction of white noise and the
+    drift with temperature.
+    """
     scatter = _column(11, name, "cont_std_of_means") ** 2 - _column(11, name, "cont_sem") ** 2
     remaining = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
     return np.asarray(np.sqrt(np.maximum(remaining, 0) / expected_scatter()))
 
 
 def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
-    """Return the turn-on deviation: Table 11's run-to-run less white noise, temperature and in-run wander."""
+    """Return the turn-on deviation from Table 11's run-to-run deviation, after subtraction of white noise, temperature
+    and the in-run wander of a run's mean.
+    """
     remaining = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
     return np.asarray(np.sqrt(np.maximum(remaining - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
 
 
 def _run_variance(name: str) -> Floats:
-    """Return the variance of the runs' means: BMA1 without its fault, Gyro3 within its states, else Table 11's."""
+    """Return the variance of the runs' means: for BMA1 without its fault, for Gyro3 within its states, otherwise Table
+    11's column.
+    """
     if name == "BMA1":
         return np.asarray(np.delete(runs_of(name), [fault.run - 1 for fault in boot_faults()], axis=0).var(0, ddof=1))
     if name == "Gyro3":
@@ -292,7 +300,7 @@ def _thermometer_readings(name: str) -> list[tuple[float, float]]:
 
 
 def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
-    """Return (offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T (ours)."""
+    """Return (offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T by convention."""
     readings = _thermometer_readings(name)
     if design == "Gyro":
         return 47.0 - _zero(name), rms_before_rounding(_code_variance(name, 1.0))
@@ -325,7 +333,8 @@ Table = dict[str, object]
 
 NOISE_BANDWIDTH_HZ = {"adxl345": 800.0, "l3g4200d": 35.0}
 """Bandwidths in Hz of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32),
-and 35 Hz (this gives 0.03 dps/sqrt(Hz), L3G-74). That of the BMA180 is unknown; its noise is as printed.
+and 35 Hz (this gives 0.03 dps/sqrt(Hz), L3G-74). The paper does not state that of the BMA180; its noise is used as
+printed.
 """
 
 
@@ -352,7 +361,9 @@ def about_zero(values: Floats, count: int) -> NormalPopulation:
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
-    """Yield (head, effects) of every [[design]] table: each chip at any range, then effects that depend on it."""
+    """Yield (head, effects) of every [[design]] table: each chip at any range, then the effects that depend on the
+    range.
+    """
     for design, chip in CHIP.items():
         group = [unit for unit in units() if unit.design == design]
         head: Table = {"chip": chip}
@@ -373,7 +384,7 @@ _POPULATION_EFFECTS = (
 
 
 def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, Table]:
-    """Return the effects that these units predict for other units of the design, without those they lack."""
+    """Return the effects that these units predict for other units of the design; effects they lack are omitted."""
     measured = [unit_effects(unit) for unit in group]
     design, first = group[0].design, measured[0]
     return {
@@ -386,7 +397,9 @@ def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, 
 
 
 def _foretold(design: str, effect: str, key: str, values: Sequence[object]) -> object:
-    """Return the population of a parameter, one for all axes; for the ADXL345 one for x and y, another one for z."""
+    """Return the population of a parameter: one for all axes, or for the ADXL345 one for x and y and another one for z,
+    whose design differs (section 2.2).
+    """
     if effect in ("tone", "bandwidth") or key == "time_constant_s":
         return values[0]
     measured, count = np.array(values, float), len(values)

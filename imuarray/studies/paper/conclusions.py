@@ -90,13 +90,17 @@ _RANGES = {"BMA": ("1.5g", "16g"), "Gyro": ("250dps", "2k dps")}
 
 
 def sign_test(positive: int, total: int) -> float:
-    """Return the exact two-sided probability of splits at least as uneven as `positive` of `total` by chance."""
+    """Return the exact two-sided probability of a split at least as uneven as `positive` of `total` under equal
+    probabilities.
+    """
     tail = sum(comb(total, k) for k in range(min(positive, total - positive) + 1))
     return min(1.0, 2.0 * tail / (1 << total))
 
 
 def range_ratio(design: str, number: int, columns: Sequence[str], leave_out: str = "") -> Decimal:
-    """Return the mean |column| of a design's low over its high range, in physical units, Table `number`."""
+    """Return the mean |column| of a design's low range over that of its high range, in physical units, from Table
+    `number`.
+    """
     low, high = (
         mean(
             [

@@ -249,7 +249,9 @@ def correlogram(counts: Counts) -> Floats:
 
 
 def spectrum(counts: Counts, rate: float) -> tuple[Floats, Floats]:
-    """Return Hz (k,) and density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17, 19) without half-wide end bins."""
+    """Return Hz (k,) and amplitude density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17 and 19), without 0 Hz and
+    the Nyquist frequency, which are half a bin wide.
+    """
     hz, power = signal.welch(counts.astype(float), rate, nperseg=SEGMENT, axis=0)
     return np.asarray(hz[1:-1]), np.sqrt(power[1:-1])
 
@@ -358,7 +360,9 @@ def gyro_memory_figure(observed: ExperimentData) -> Figure:
 
 
 def histogram_figure(observed: ExperimentData) -> Figure:
-    """Draw a figure like Figure 15: readings per code of Gyro1 x at both ranges, and the normal curve."""
+    """Draw a figure like Figure 15: the number of readings of each code of Gyro1 x, at both ranges, and the normal
+    curve with their mean and standard deviation.
+    """
     figure, panels = _sheet(7.5, 5.0, 2, shared=False)
     for panel, (name, (label, _, colour)) in zip(panels, _RANGES.items(), strict=True):
         counts = observed.high_rate[name].counts[:, 0]
@@ -402,7 +406,9 @@ def _draw_allan(panel: Axes, counts: Counts, rate: float, scale: float, colours:
 
 
 def _finish_allan(panel: Axes, label: str) -> None:
-    """Set logarithmic scales and plain numbers; draw a grey line of white noise's slope -1/2 below the curves."""
+    """Set logarithmic scales and plain numbers, and draw a grey line of slope -1/2 below the curves: the slope of white
+    noise.
+    """
     from matplotlib.ticker import FuncFormatter
 
     points = [np.asarray(line.get_xydata(), float) for line in panel.get_lines()]

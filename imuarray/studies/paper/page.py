@@ -189,7 +189,9 @@ class PrintedNumber:
 
 
 def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[PrintedNumber]:
-    """Return every number of "Table 3"by channel, those that were only recomputed after the simulated ones."""
+    """Return every number of a table, `name` "Table 3" for example, channel by channel: first the simulated ones, then
+    those that were only recomputed.
+    """
     cells = dict(_cells(name, recomputed))
     by_key = {(twin.channel, twin.statistic): twin for twin in twins}
     channels = list(dict.fromkeys(channel for channel, _ in (*by_key, *cells)))
@@ -229,7 +231,9 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
 
 
 def _in_digits(twin: Statistic) -> str:
-    """Return the text of a number that is in no table; a quotient has the digits that its uncertainty allows."""
+    """Return the text of a number that is in no table; a quotient of printed numbers has the digits that its
+    uncertainty allows.
+    """
     has_few_digits = _decimals(twin.published) <= _PRINTED_DECIMALS
     return plain(twin.published if has_few_digits else round(twin.published, _places(twin, "")))
 
@@ -261,7 +265,8 @@ def _simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
 
 
 def recomputed_text(cell: Cell, printed: str) -> str:
-    """Return the recomputed value, as printed if equal, with "≈" if within its inputs' rounding, else with "≠".
+    """Return the recomputed value, as printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after
+    any other.
 
     The sign is omitted if the printed number is shown without a sign.
     """
@@ -292,7 +297,7 @@ def _places(twin: Statistic, printed: str) -> int:
 def table_sections(
     replica: Replica, observed: ExperimentData | None, recomputed: Recomputed, result: Mapping[str, Any]
 ) -> Iterator[Section]:
-    """Yield a section per table with its figures if there is `observed` data; `result` is of `recompute()`."""
+    """Yield a section per table, with its figures if there is `observed` data; `result` is that of `recompute()`."""
     further = further_words(result)
     for number, (title, words) in TABLE_WORDS.items():
         name = f"Table {number}"
@@ -382,7 +387,9 @@ def compare_numbers(name: str, replica: Replica, recomputed: Recomputed) -> list
 
 
 def count_agreement(lines: Sequence[PrintedNumber]) -> list[str]:
-    """Return how many statistics were simulated, agree within 1, 2, 3, were recomputed, are equal, near or neither."""
+    """Return the numbers of statistics that were simulated, that are within 1, 2 and 3 uncertainties, that were
+    recomputed, and that are equal, near or neither.
+    """
     twins = [line.twin for line in lines if line.twin]
     cells = [line.cell for line in lines if line.cell]
     equal = sum(cell.matches for cell in cells)
@@ -419,7 +426,8 @@ def write_paper_page(
 ) -> None:
     """Write the page; figures are those of `observed` data; without them (None) the page states that they are missing.
 
-    OutputExistsError if the file exists without `force`; MissingExtraError without jinja2 or matplotlib.
+    OutputExistsError if the file exists and `force` is false; MissingExtraError without jinja2, or with `observed`
+    without matplotlib.
     """
     recomputed, result = recomputed_rows(), recompute()
     lines = list(_summary(replica, result))
@@ -443,11 +451,13 @@ def write_paper_page(
 
 
 _ENOUGH = 0.9
-"""Minimum share within two uncertainties for a simulation that reproduces the paper; a perfect model has 95.4 %."""
+"""Minimum share of the statistics within two uncertainties for a simulation that reproduces the paper. A perfect model
+has 95.4 %; known gaps of the model reduce this share.
+"""
 
 
 def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
-    """Return the share of the paper's numbers that the array reproduces, and how many of its conclusions hold."""
+    """Return the share of the paper's numbers that the simulated array reproduces, and how many conclusions hold."""
     whole = replica.summary
     agreeing = whole.within[1] / max(1, whole.count)
     holding, total = sum(statement["holds"] for statement in result["conclusions"]), len(result["conclusions"])

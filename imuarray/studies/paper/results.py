@@ -116,7 +116,9 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def render_text(result: dict[str, Any]) -> str:
-    """Return matches by table, key numbers, slips and conclusions of `recompute()`, at most 100 columns wide."""
+    """Return the matches by table, key numbers, slips and conclusions of a `recompute()` result, in lines of at most
+    100 columns.
+    """
     heading = ["The paper, recomputed from its own tables", *wrap(result["source"], _WIDTH)]
     parts = (heading, _matches(result), _key_numbers(result), _slips(result), _conclusions(result))
     return "\n".join(line for part in parts for line in (*part, "")).rstrip() + "\n"

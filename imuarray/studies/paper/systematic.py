@@ -255,7 +255,9 @@ _LAST_DIGIT = 0.01
 
 
 def azimuth(readings: Sequence[Decimal], *, quotient_mended: bool) -> float:
-    """Return the azimuth in radians: arctan(f_x / f_y) as printed, arctan(f_y / f_x) corrected (no quadrant)."""
+    """Return the azimuth in radians: arctan(f_x / f_y) as printed, arctan(f_y / f_x) corrected (still without a
+    quadrant).
+    """
     along_x, along_y, _ = (float(part) for part in half_differences(readings))
     return atan(along_y / along_x) if quotient_mended else atan(along_x / along_y)
 

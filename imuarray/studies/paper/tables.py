@@ -5,10 +5,12 @@ form and recomputations are compared in the last printed digit. Units are in the
 
 `Cell` compares a printed number with its recomputation. `matches`: the recomputed value, rounded to the digits printed,
 is the printed one. `within_input_rounding`: the printed value can be reached if each input changes by at most half a
-unit of its own last printed digit (to first order), the limit of a recomputation. If neither holds, the cell is a slip.
+unit of its own last printed digit (to first order), which is the limit of a recomputation from printed tables. If
+neither holds, the cell is a slip.
 
 A recomputed value can fall exactly half-way between two printable ones (six cells of Tables 2 to 9 do). Printed inputs
-cannot resolve this tie, and the paper rounds some up and some down. A tie matches either neighbour.
+cannot resolve this tie, and the paper rounds some up and some down. Both neighbours are correct, so a tie matches
+either of them.
 """
 
 from __future__ import annotations
@@ -196,7 +198,9 @@ def reach(formula: Formula, inputs: Sequence[Decimal]) -> Decimal:
 
 
 def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decimal]) -> Cell:
-    """Return the cell of `column` recomputed as `formula(inputs)`, to the digits of `row` if they agree."""
+    """Return the cell of `column` recomputed as `formula(inputs)`, to the digits that `row` prints there if they
+    agree.
+    """
     printed, value = Decimal(row[column]), formula(inputs)
     is_within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
     rounded = round_like(value, printed)

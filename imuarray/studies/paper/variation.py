@@ -16,7 +16,8 @@ and divided so that the scatter within the two parts, over all three axes, is sm
 
 Blending of two ranges (Table 10): the best weights for the average of two readings of one quantity with independent
 noise s_low and s_high are proportional to 1 / s^2; the noise s of the mean is then given by 1 / s^2 = 1 / s_low^2 + 1 /
-s_high^2. The noise of the plain average is sqrt(s_low^2 + s_high^2) / 2. Planes are compared by Tables 8, 10 and 11.
+s_high^2. The noise of the plain average is sqrt(s_low^2 + s_high^2) / 2. In-plane and out-of-plane axes are compared by
+columns of Tables 8, 10 and 11.
 
 The logging rate follows from a standard deviation and the standard error of the mean: the number of samples is n = (std
 / sem)^2, which divided by a known duration is a rate. All channels of one log were read equally often, so a single
@@ -55,7 +56,8 @@ _SOURCES = {"BMA1": 6, "Gyro3": 7}
 _RUNS = 15
 _NORMAL_RANGE = 3.534
 """Mean ratio of range to sample standard deviation of fifteen normal numbers: 3.4718 (the mean range, Tippett 1925)
-divided by 0.98232 (the mean deviation). The ratio is independent of the deviation (Basu).
+divided by 0.98232 (the mean deviation). The ratio is independent of the deviation (Basu), so its mean is the quotient
+of the means.
 """
 
 
@@ -121,7 +123,9 @@ def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
 
 
 def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
-    """Return (channel, column, printed deviation, violated bound) where Table 11's range excludes its deviation."""
+    """Return (channel, column, printed standard deviation, violated bound) of every standard deviation of Table 11 that
+    is impossible for the printed range.
+    """
     result = []
     for row in table(11):
         for half in ("runs", "cont"):
@@ -135,9 +139,11 @@ def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
 
 
 def range_over_deviation() -> dict[str, Any]:
-    """Return the ratios of range to deviation of fifteen means in Table 11, and the possible interval.
+    """Return the ratios of the ranges of fifteen means to their standard deviations in Table 11, and the possible
+    interval.
 
-    `rows` are two series per channel; `mean` is over inertial ones, `normal` of fifteen normal numbers.
+    `rows` contain the two series of each channel; `mean` is over the inertial channels, `normal` is the mean ratio of
+    fifteen normal numbers.
     """
     least, most = (1 / bound for bound in reversed(deviation_bounds(1.0, _RUNS)))
     forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}
@@ -265,7 +271,7 @@ def principal_axis(points: Sequence[Point]) -> Point:
 
 
 def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the indices of the two groups, of two points at least, with the least squared scatter within."""
+    """Return the indices of the two groups, of at least two points each, with the least squared scatter within them."""
     axis = principal_axis(points)
     order = sorted(range(len(points)), key=lambda i: _dot(points[i], axis))
     cuts = range(2, len(points) - 1)
@@ -281,7 +287,7 @@ def bias_states() -> tuple[TurnOnState, TurnOnState]:
 
 
 def separation(states: tuple[TurnOnState, TurnOnState]) -> float:
-    """Return the distance between two states' centres over the larger of their spreads (root sum of squares)."""
+    """Return the distance of two states' centres over the larger spread (root sum of squares over the axes)."""
     return dist(states[0].centre, states[1].centre) / max(hypot(*state.spread) for state in states)
 
 
@@ -365,7 +371,7 @@ class RangeNoise:
 
 
 def bma180_blend() -> RangeNoise:
-    """Return the noise of the BMA180 at both ranges, each the mean of six channels of Table 10, typical sensitivity."""
+    """Return the BMA180's noise at both ranges, each the mean of Table 10's six channels at the typical sensitivity."""
     low, high = (
         mean([milli_g(row, number_in(row, "std_lsb")) for row in channels(10, "BMA", name)]) for name in ("1.5g", "16g")
     )
@@ -389,7 +395,7 @@ def plane_ratio(sensor: str, quantity: str) -> Decimal:
 
 
 def planes() -> list[dict[str, Any]]:
-    """Return the out-of-plane over in-plane ratio of every triad: noise, slope, in-run and turn-on variation."""
+    """Return each triad's out-of-plane over in-plane ratios: noise, temperature slope, in-run and turn-on variation."""
     sensors = [row["sensor"] for row in table(1)]
     return [
         {"sensor": sensor, "design": design_of(sensor)}
@@ -413,7 +419,9 @@ def _row_rate(row: Row) -> Decimal:
 
 
 def table11_rates() -> tuple[Decimal, ...]:
-    """Return the logging rate in Hz that inertial channels of Table 11 imply: separate runs, then the continuous."""
+    """Return the logging rate in Hz that each inertial channel of Table 11 implies: separate runs, then the
+    continuous one.
+    """
     return tuple(
         rate_hz(number_in(row, f"{half}_std"), number_in(row, f"{half}_sem"), SAMPLE_SECONDS)
         for half in ("runs", "cont")
@@ -454,7 +462,9 @@ def table10() -> tuple[RecomputedRow, ...]:
 
 @dataclass(frozen=True)
 class ReadingCount:
-    """The number of readings that a column of standard errors admits, and the rate or duration that follows."""
+    """The number of readings that a column of standard errors admits, `least` to `most`, and the rate or duration that
+    follows.
+    """
 
     table: int
     log: str
@@ -486,7 +496,9 @@ class ReadingCount:
 
 
 def admitted(deviation: Decimal, standard_error: Decimal) -> tuple[Decimal, Decimal]:
-    """Return the least and most readings for which both values could be printed as they are, standard error not 0."""
+    """Return the smallest and largest number of readings for which both values could be printed as they are; the
+    standard error must not be 0.
+    """
     wide, narrow = half_unit(deviation), half_unit(standard_error)
     least, most = (deviation - wide) / (standard_error + narrow), (deviation + wide) / (standard_error - narrow)
     return least**2, most**2

@@ -173,7 +173,7 @@ def _per_channel(
 
 
 def accelerometer(row: Columns) -> Columns:
-    """Return Table 3's columns from a row of Table 10; the scale factor is without the paper's sign."""
+    """Return Table 3's columns from a row of Table 10; the scale factor has no sign, unlike the paper's."""
     faces = np.array([row[face] for face in READINGS])
     return {
         "drift_lsb": float(faces[0] - faces[6]),
@@ -216,7 +216,9 @@ def period(counts: npt.NDArray[np.int16], axis: int) -> int:
 
 
 def line_hz(counts: npt.NDArray[np.int16], axis: int) -> float:
-    """Return the line between 40 and 60 Hz in a spectrum (Figure 14), nan if below ten times the median density."""
+    """Return the frequency of the line between 40 and 60 Hz in an axis' spectrum (Figure 14), nan if no density there
+    exceeds ten times the median.
+    """
     hz, power = signal.welch(counts[:, axis].astype(float), HIGH_RATE_HZ, nperseg=2048)
     near = (hz >= _AROUND_HZ[0]) & (hz <= _AROUND_HZ[1])
     top = int(np.argmax(np.where(near, power, 0)))
@@ -237,7 +239,9 @@ def compare_faces(ten: Table) -> Iterator[Statistic]:
 
 
 def compare_accelerometers(three: Table) -> Iterator[Statistic]:
-    """Table 3, without the bias once more in mg; scale factors lack their sign, an artefact of the formula."""
+    """Compare Table 3, except for the bias that it repeats in mg. Scale factors are compared without their sign, which
+    is an artefact of the paper's formula.
+    """
     for row in table(3):
         channel = row["channel"]
         wander, sem = _wander(channel), printed(10, channel, "sem_lsb")
@@ -365,7 +369,8 @@ def deviation_spread(channel: str, half: str) -> float:
 
 
 def _step_of_fault(channel: str) -> float:
-    """Return the relative uncertainty of the faulty run's distance from the others; 0 without a faulty run.
+    """Return the relative uncertainty of the distance of the faulty run from the others; 0 for a sensor without a
+    faulty run.
 
     This distance scatters by seven times the day-to-day change and by eight times the run-to-run change.
     """
@@ -426,13 +431,17 @@ DPS_AT_250 = 0.00875
 _AROUND = 1 / sqrt(3)
 _HALF_A_DIGIT = 0.5 / sqrt(3)
 _FAST_NOISE = sqrt(110 / 35 * 1.4 / 0.6)
-"""Noise of the mean at 110 Hz over that of as many independent readings at 35 Hz; neighbours correlate by 0.4."""
+"""Noise of the mean at 110 Hz divided by that of the same number of independent readings at 35 Hz; neighbouring
+readings correlate by 0.4.
+"""
 _A3_STDS = {"x": 8.0201, "y": 9.8857, "z": 9.3002}
 """Appendix A.3: standard deviations in LSB of a BMA180 at 16 g; the paper does not state which unit."""
 
 
 class _HeatingSpread(NamedTuple):
-    """The heating: mean degC; a slope's rms by unit white noise and by unit wander; the mean's rms by unit wander."""
+    """The heating: mean temperature; standard deviation of a fitted slope, per degC, caused by unit white noise and by
+    a unit in-run wander; standard deviation of the mean caused by a unit wander.
+    """
 
     degc: float
     of_noise: float
@@ -523,7 +532,9 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
 
 
 def _between_filters() -> float:
-    """Return the standard deviation over axes of ln(noise at 110 Hz over that in array runs), Tables 9 to 11."""
+    """Return the standard deviation over the axes of ln(noise at 110 Hz over that in the array runs), Tables 9 (2000
+    dps), 10, 11. The model uses the root of the ratio of the bandwidths for all axes.
+    """
     rows = [row for row in table(9) if row["range"] == "2k dps"]
     noise = [own(row["output"], lambda unit: unit.noise) for row in rows]
     ratios = [log(float(number_in(row, "std_lsb")) / own_noise) for row, own_noise in zip(rows, noise, strict=True)]

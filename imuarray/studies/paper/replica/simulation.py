@@ -1,4 +1,5 @@
-"""The paper's experiments on the simulated array: statistics of all readings, window by window, without their rows.
+"""The paper's experiments on the simulated array: statistics of every sensor's readings, window by window; rows are not
+stored.
 
 The stimulus is as printed: Table 10's face temperatures, Table 11's mean temperatures and their deviations (a linear
 drift within the continuous run; from run to run the shape of BMA1's own thermometer in Table 6), the profile of the
@@ -270,7 +271,9 @@ def _faces(seed: int, boot: int) -> dict[str, list[Window]]:
 
 
 def _parts(seed: int, boot: int) -> tuple[dict[str, list[Window]], dict[str, Series]]:
-    """Return fifteen successive windows, and all readings. A drift of d per window has a rms of d sqrt(15 16 / 12)."""
+    """Return fifteen consecutive windows, and the stored readings. A linear drift by d per window has a standard
+    deviation of d sqrt(15 16 / 12).
+    """
     drift = DEGC[11, "cont_std_of_means"] / np.sqrt(PARTS * (PARTS + 1) / 12)
     start = DEGC[11, "cont_mean"] - drift * PARTS / 2
     motion = Still("+Z", PARTS * WINDOW_S, float(start), drift_degc_per_h=float(drift) * 3600 / WINDOW_S)

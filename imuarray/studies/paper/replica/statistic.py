@@ -115,7 +115,9 @@ def face_residual(channel: str) -> float:
 
 @cache
 def noise_residual(channel: str) -> float:
-    """Return the root mean square of ln(deviation / its quadratic mean) in Tables 10 and 11 (three experiments)."""
+    """Return the root mean square of ln(standard deviation / its quadratic mean) in Tables 10 and 11 (three
+    experiments).
+    """
     squares = []
     for member in group_of(channel):
         variances = np.array([printed(number, member, column) ** 2 for number, column in STDS])
@@ -131,7 +133,8 @@ def thermometer_residual(channel: str) -> float:
 
 def log_deviation(windows: Floats, extra: float) -> float:
     """Return the standard deviation of ln s. s is the sample standard deviation of numbers with covariance `windows`
-    (n, n) plus fixed differences of variance `extra`: half the relative spread of a quadratic form.
+    (n, n) plus fixed differences of variance `extra`; the result is half the relative spread of a quadratic form in
+    normal numbers.
     """
     count = len(windows)
     middle = windows - windows.mean(axis=0)
@@ -187,7 +190,8 @@ def between_units(channel: str, column: str) -> float:
 
 def level_parts(channel: str) -> tuple[dict[str, float], float]:
     """Return the error of a level with +Z up on a day other than that of Table 10: its parts, and the share of their
-    variance that all of these levels of the channel have in common (the day of Table 10, and the face against the fit).
+    variance that all of these levels of the channel have in common (that of the day of Table 10, and that of the face
+    relative to the fit).
     """
     days, face = day_to_day(channel), face_residual(channel)
     parts = {"day-to-day": sqrt(2) * days, "face repeatability": face}
@@ -251,7 +255,9 @@ def linear(
     fitted: bool = False,
     derived: bool = False,
 ) -> Statistic:
-    """Return a statistic compared without logarithm, `at` (table, channel, statistic), uncertainty `parts` by cause."""
+    """Return a statistic that is compared without a logarithm. `at` is (table, channel, statistic); `parts` are those
+    of its uncertainty, by cause.
+    """
     return Statistic(*at, published, simulated, *combine(parts), fitted=fitted, derived=derived)
 
 
@@ -271,7 +277,8 @@ class AgreementSummary:
     `independent` ones per degree, and the interval `expected` (95 %) for it.
 
     Statistics with a common cause are correlated. With correlations r, the mean of n squares of unit normals has the
-    variance 2 sum(r_ij^2) / n^2, which is that of chi-square divided by its n^2 / sum(r_ij^2) `degrees` of freedom.
+    variance 2 sum(r_ij^2) / n^2, which is that of chi-square divided by its n^2 / sum(r_ij^2) degrees of freedom; this
+    number is `degrees`.
     """
 
     count: int
@@ -322,7 +329,9 @@ class Replica:
 
     @property
     def kinds(self) -> dict[str, AgreementSummary]:
-        """Summaries of what the model was "fitted to" and what it "foretold", and of "axes" and "thermometers"."""
+        """Return the summaries of the statistics that the model was "fitted to" and that it "foretold", and of "axes"
+        and "thermometers".
+        """
         kinds: dict[str, list[Statistic]] = {"fitted to": [], "foretold": [], "axes": [], "thermometers": []}
         for row in self.statistics:
             kinds["fitted to" if row.fitted else "foretold"].append(row)
@@ -359,7 +368,9 @@ _WIDTH = 100
 
 
 def render_text(replica: Replica) -> str:
-    """Render the comparison as text: table by table, all together, and those more than three uncertainties off."""
+    """Render the comparison as text: table by table, all together, and every statistic more than three uncertainties
+    off.
+    """
     return "\n".join((*_tables(replica), "", *_together(replica), "", *_beyond(replica))) + "\n"
 
 
