@@ -100,7 +100,8 @@ LIMITS: Mapping[str, Mapping[str, float]] = {
 """Detection limits, in reference sizes, on one sensor of each chip that has the mechanism; "" for a mechanism that does
 not act on a single sensor. The search covered 1/64 to 64: 0.016 is the smallest value, nan means more than the largest.
 Mechanisms that are not listed have no size. Power-on stress is detected only if the scatter between runs exceeds the
-usual one (`imuarray.gap.model.populations.turn_on_rms`), larger than the smallest visible one.
+usual one (`imuarray.gap.model.populations.turn_on_rms`), which is larger than the smallest visible scatter of BMA1 and
+Gyro1.
 """
 
 

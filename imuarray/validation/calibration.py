@@ -46,7 +46,9 @@ _EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
 
 
 class CauseClaim(NamedTuple):
-    """A reported cause: its share among rivals, the share of the gap that all causes close, and whether it is right."""
+    """A reported cause: its share among rivals, the share of its sensors' gap that all causes together close, and
+    whether it is right.
+    """
 
     share: float
     all_closed: float
@@ -54,7 +56,9 @@ class CauseClaim(NamedTuple):
 
 
 class Fold(NamedTuple):
-    """Calibration error and Brier score of probabilities fitted to other cases, over `causes`, and error by chance."""
+    """Calibration error and Brier score of probabilities that were fitted to other cases, over `causes` causes, and the
+    calibration error expected by chance.
+    """
 
     part: str
     error: float
@@ -64,7 +68,9 @@ class Fold(NamedTuple):
 
 
 class ConfusablePair(NamedTuple):
-    """Effects that are confused: in `times` of `cases` with `effect` and a reported gap, `said` was the first cause."""
+    """Effects that are confused: in `times` of the `cases` in which `effect` was active and a gap was reported, `said`
+    was the first cause.
+    """
 
     effect: str
     said: str
@@ -73,7 +79,9 @@ class ConfusablePair(NamedTuple):
 
 
 def claims_in(answers: Sequence[Answer]) -> list[CauseClaim]:
-    """Return the causes with a share in cases of one mechanism, two or none, in random worlds or on the full plan."""
+    """Return the causes reported in cases of one mechanism, two or none, in random worlds or on the full plan. Causes
+    without a share are omitted.
+    """
     claims = []
     for answer in answers:
         if not (answer.case.world or answer.case.plan == FULL) or answer.case.kind not in ("single", "pair", "none"):

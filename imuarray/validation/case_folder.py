@@ -18,7 +18,8 @@ A truth is one object of JSON; keys in brackets are optional:
     [experiments]  a list of names, which makes the plan; [sensors]: chips by the names of sensors; [strata]: words
     [control]    the number of the case that is the same recording without the effects
 
-Other keys are kept and ignored, as are effects that are only nuisance quantities: they are within tolerances.
+Other keys are kept and ignored. An effect that has only names of nuisance quantities is ignored, because it is within
+the tolerances of parts.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ _KINDS = ("control", "effect", "unknown", "pair")
 
 
 def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
-    """Return the cases of these folders, numbered from `first`, without their truth. ConfigError without cases."""
+    """Return the cases of these folders, numbered from `first` on, without reading their truth. ConfigError for a
+    folder without cases.
+    """
     cases: list[Case] = []
     for folder in folders:
         places = _places(folder)
@@ -55,7 +58,9 @@ def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
 
 
 def read_case(case: Case) -> tuple[Case, list[Path], dict[str, Any]]:
-    """Return the case completed from its truth, its logs, and the truth with "mechanisms". ConfigError if invalid."""
+    """Return the case completed from its truth, its logs, and the truth with its effects under "mechanisms".
+    ConfigError for an invalid truth.
+    """
     place = Path(case.source)
     path = place.parent / SEALED / f"{place.name}.json"
     truth = _truth(path)

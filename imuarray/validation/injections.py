@@ -44,7 +44,9 @@ _MOVES = {"g": 0.5, "dps": 20.0}
 
 
 class Rows(NamedTuple):
-    """Rows of a sensor: reading times (n,) s since the first, stamps (n,) ns, counts (n, 3), which rows they are."""
+    """Rows of one sensor: the times at which they were read (n,) s since the log's first row, stamps (n,) ns, counts
+    (n, 3), and which of the log's rows they are.
+    """
 
     at_s: Floats
     time: Integers
@@ -204,7 +206,9 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
 
 
 def _reading_times_s(sensor: SensorLog) -> Floats:
-    """Return the times (n,) of reading in s since the first; rows that arrive in bursts have other stamps."""
+    """Return the times (n,) at which the rows were read, in s since the first one. If rows arrive in bursts, these are
+    not their stamps.
+    """
     is_stamped_late = row_timing(sensor).kind == "bursts"
     time_ns = even_rows(sensor).stamps(0, len(sensor)) if is_stamped_late else np.asarray(sensor.time[:], np.int64)
     return np.asarray((time_ns - time_ns[0]) * 1e-9)
@@ -251,7 +255,9 @@ def _copy_logs(logs: Sequence[Path], folder: Path) -> None:
 def _find_size(
     injection: Injection, target: _Target, plain: Log, limits: float, stack: ExitStack
 ) -> tuple[float, float | None] | None:
-    """Return the size for `limits` detection limits and those measured (None without size); None if not reached."""
+    """Return the size that amounts to `limits` detection limits in this log, and the limits that were measured there
+    (None for an effect without size); None if the size cannot be reached.
+    """
     if not injection.first:
         return 1.0, None
 

@@ -66,7 +66,9 @@ NEED_COMMON_ADDRESSES = frozenset({"mux_hang"})
 """Mechanisms by which a sensor is read instead of another one that has the same address on another channel."""
 
 MANY_FACES = 4
-"""Number of faces from which on a recording shows the effects of a tumble. From two on, no effect is surely hidden."""
+"""Number of faces from which on a recording shows the same effects as a tumble. With two or more, no effect is
+certainly hidden.
+"""
 
 
 def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[str]:
@@ -219,7 +221,9 @@ _COUNTS = ("controls", "singles", "others", "hidden", "withheld", "unnamed", "pa
 
 
 def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
-    """Return the numbered cases; each `seed` (0 to 99) gives another set. ConfigError for more than `MOST_CASES`."""
+    """Return the numbered cases; each `seed` (0 to 99) gives a different set of the same half. ConfigError for more
+    cases than `MOST_CASES`.
+    """
     if not 0 <= seed < 100:
         raise ValueError(f"seed {seed}; allowed is 0 to 99")
     first = _SEEDS[half] + MOST_CASES * seed
@@ -382,7 +386,7 @@ def _sensors(
     choose: random.Random,
     twins: Sequence[tuple[str, str]] | None,
 ) -> tuple[str, ...] | None:
-    """Return one sensor, two of a chip, or () if the mechanism determines where it acts; None if too few."""
+    """Return one sensor, two of a chip, or () if the mechanism determines where it acts; None if there are too few."""
     if place == "sensor":
         return (choose.choice(sensors),) if sensors else None
     if place == "pair":
@@ -409,7 +413,7 @@ def _case(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
 
 
 def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...], chip: str) -> Put:
-    """Place a mechanism at `limits` detection limits. One that cannot reach it gets the greatest severity."""
+    """Place a mechanism at `limits` detection limits, or at the greatest severity if it cannot reach this size."""
     if not is_graded:
         return Put(mechanism, 1.0, math.nan, sensors)
     severity = limit(mechanism, chip) * limits

@@ -148,20 +148,25 @@ def calibration_error(probabilities: Numbers, right: Any) -> float:
 
 
 def calibration_error_by_chance(probabilities: Floats, seed: int) -> float:
-    """Return the mean calibration error of correct probabilities (n,) by chance: few values scatter in a bin."""
+    """Return the mean calibration error that correct probabilities (n,) have by chance, because with few values the
+    share of a bin scatters.
+    """
     random = np.random.default_rng(seed)
     drawn = (random.random(len(probabilities)) < probabilities for _ in range(_MEANS))
     return float(np.mean([calibration_error(probabilities, outcomes) for outcomes in drawn]))
 
 
 def brier(probabilities: Numbers, right: Any) -> float:
-    """Return the mean squared difference of probabilities and outcomes (n,) (Brier, Mon. Weather Rev. 78, 1950)."""
+    """Return the mean squared difference of probabilities (n,) and outcomes (n,), 0 or 1 (Brier, Mon. Weather Rev. 78,
+    1950).
+    """
     return float(np.mean((np.asarray(probabilities, float) - np.asarray(right, bool)) ** 2))
 
 
 def permute_labels(hits: Any, seed: int) -> Chance:
     """Permute the labels of `hits` (n, n), which are True if answer i (row) hits label j (column). The number of hits
-    is that of one permutation; mean and deviation of the share are exact (Hoeffding, Ann. Math. Stat. 22, 1951).
+    is that of one permutation; mean and standard deviation of the share are exact over all permutations (Hoeffding,
+    Ann. Math. Stat. 22, 1951).
     """
     table = np.asarray(hits, bool)
     many = len(table)

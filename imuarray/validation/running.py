@@ -4,7 +4,8 @@ A case is submitted with a folder's path and returns its state. The worker write
 not at all; they do not depend on the worker, the number of workers or the order.
 
 A worker may die because of its case (memory, a crash of compiled code) or for another reason. Each start of a case is
-first recorded in the folder, so that no case starts a third time, whoever resubmits it.
+first recorded in the folder, so that no case starts a third time, whether this process or a cluster's scheduler
+resubmits it.
 
 The cases run in processes of this machine or in the workers of a Dask cluster. Both report in which case a worker died.
 A `ProcessPoolExecutor` cannot: when one of its processes dies, all submitted calls fail. Each process here is therefore
@@ -49,8 +50,9 @@ def executor_of(text: str, workers: int) -> Iterator[Workers]:
     scheduler's address, "tcp://host:port", with all its workers.
 
     A cluster's workers need this version of the package and the same folder under the same path; one thread each (`dask
-    worker --nthreads 1`), because the calls of all threads are lost with a worker; and one BLAS thread, Dask's default
-    without --no-nanny. ConfigError for other texts, MissingExtraError without Dask, ImuArrayError without an answer.
+    worker --nthreads 1`), because the calls of all threads are lost with a worker; and one BLAS thread, which is Dask's
+    default without --no-nanny. ConfigError for another text, MissingExtraError without Dask, ImuArrayError if no
+    scheduler answers.
     """
     if text == "processes":
         with Processes(workers) as here:
@@ -141,7 +143,9 @@ class InlineExecutor:
 
 
 Workers = Processes | Cluster | InlineExecutor
-"""An executor with the number of parallel calls now (`places`) and the exceptions of a dead worker (`deaths`)."""
+"""An executor that states how many calls it runs in parallel now (`places`; 0 if all have to wait), and which
+exceptions the future of a call raises when its worker died (`deaths`).
+"""
 
 
 def _client(address: str) -> Any:
@@ -158,7 +162,9 @@ def _client(address: str) -> Any:
 __all__ = ["LOST", "Job", "RunSummary", "State", "executor_of", "run_cases"]
 
 Job = Callable[[Case, Path], None]
-"""A function that runs a case and writes sealed/NAME.json and, last, outcomes/NAME.json, which depend on it alone."""
+"""A module-level function that runs a case and writes sealed/NAME.json and, last, outcomes/NAME.json into the folder.
+The files depend on the case alone.
+"""
 State = Literal["done", "failed", "lost"]
 
 LOST = "its worker died twice"
@@ -269,7 +275,7 @@ def _finished(
 def _state_of_future(
     future: Future[State], case: Case, folder: Path, workers: Workers, deaths: Counter[str]
 ) -> State | None:
-    """Return the state of a submitted case; None to submit it again. `deaths` counts dead workers by case."""
+    """Return a submitted case's state; None if it must be submitted again. `deaths` counts dead workers by case."""
     try:
         return future.result()
     except CancelledError:

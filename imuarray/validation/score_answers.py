@@ -42,7 +42,9 @@ _SAME = 0.05
 
 @dataclass(frozen=True)
 class ActiveMechanism:
-    """An active mechanism: size in detection limits (nan: none), sensors, axes (empty: all), correct effect names."""
+    """A mechanism that was active: its size in detection limits (nan if it has none), its sensors and axes (empty: all,
+    or unknown), and its correct effect names.
+    """
 
     mechanism: str
     limits: float
@@ -98,7 +100,7 @@ class Answer:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """The reported causes without those that describe the world, which are neither right nor wrong."""
+        """The reported causes without those that correctly describe the world, which are neither right nor wrong."""
         active = frozenset().union(*(mechanism.resembles for mechanism in self.active))
         of_world = self.world_effects - active
         return tuple(cause for cause in self.reported if cause["effect"] not in of_world)
@@ -199,7 +201,7 @@ class LostCase:
 
 @dataclass(frozen=True)
 class ValidationRun:
-    """A validation run: its plan (`plan.json`), the answers in the order of their numbers, lost cases, notes."""
+    """Results of a validation run: its plan (`plan.json`), answers in the order of their numbers, lost cases, notes."""
 
     plan: Mapping[str, Any]
     answers: tuple[Answer, ...]
@@ -247,7 +249,9 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Valid
 
 
 def _is_known(cause: Cause, known: Iterable[Cause]) -> bool:
-    """Return whether the known causes have this effect on all sensors of the cause, each on one of its axes."""
+    """Return whether the known causes have this effect on all sensors of the cause, each on one of its axes. A line of
+    a different frequency or a step of a different size is a different cause.
+    """
     same = [other for other in known if other["effect"] == cause["effect"] and _can_be_same(cause, other)]
     sensors = [set(other.get("sensors") or ()) for other in same]
     if not all(sensors):  # one of them is a cause in all sensors

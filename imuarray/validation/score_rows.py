@@ -1,5 +1,6 @@
 """The figures of a validation run, each with its interval, its bar, and its cells: false alarms and detection by
-severity, causes against the sealed truth, closed shares against an oracle, probabilities, time.
+severity, causes against the sealed truth, closed shares against an oracle that knows the effects, probabilities, and
+time.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ _ROUNDING = 1e-9
 @dataclass(frozen=True)
 class ScoreRow:
     """A figure: `value` with its 95 % interval over `cases`; `about` describes what is counted. `cells` are the same
-    figure for parts of the cases; `group` names the property of division ("plan", "severity",...).
+    figure for parts of the cases; `group` names the property by which they are divided ("plan", "severity",
+    "mechanism", ...).
     """
 
     name: str
@@ -313,7 +315,9 @@ FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
 UNKNOWN, FALSE_UNKNOWN = (0.90, None), (None, 0.10)
 APART, TOGETHER, REMOVED = (0.75, None), (0.55, None), (0.90, None)
 LARGE = 5.0
-"""Size in detection limits from which a mechanism is easy to detect, and must not be reported as unknown if known."""
+"""Size in detection limits from which on a mechanism is easy to detect, and at which a known mechanism must not be
+reported as unknown.
+"""
 
 _OPEN = ("unexplained", "partly explained")
 _SURE = 3.0
@@ -367,7 +371,9 @@ def is_in_class(answer: Answer) -> bool:
 
 
 def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
-    """Return whether likely causes of the right name affect exactly the truth's `sensors`, and its axes if named."""
+    """Return whether the likely causes of the right name, including the first cause, affect exactly those of `sensors`
+    that the truth names, and its axes if it names any.
+    """
     first, (work, *_) = answer.first, answer.active
     if first is None:
         return False
@@ -378,7 +384,9 @@ def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
 
 
 def are_both_named(answer: Answer) -> bool:
-    """Return whether every mechanism has its own likely cause at its sensors; one counts twice for a common name."""
+    """Return whether every mechanism has a likely cause of its name at its sensors. One cause counts for two mechanisms
+    only if they have a name in common.
+    """
     works, causes = answer.active, answer.named
     if not _are_disjoint([work.resembles for work in works]):
         return all(any(work.is_located_by(cause) for cause in causes) for work in works)
@@ -398,7 +406,9 @@ def is_removed(answer: Answer) -> bool:
 
 
 def extra_of(extra: Mapping[str, Any], resembles: Sequence[Sequence[str]] = ()) -> tuple[set[str], set[str]]:
-    """Return names and sensors of a model's extra effect: its "effect", else its tables, else what it resembles."""
+    """Return the names and sensors of a model's extra effect: its "effect", otherwise its tables, otherwise the names
+    that it resembles.
+    """
     named = (
         {str(extra["effect"])}
         if "effect" in extra
@@ -529,7 +539,9 @@ _KINDS = ("single", "pair", "removal")
 
 
 class Closure(NamedTuple):
-    """A case of the full plan: reported closed share with interval, oracle's share, and whether the cause is right."""
+    """One case of the full plan: the reported closed share with its interval, and the oracle's. `is_right`: the first
+    cause is right, or the extra effect was named.
+    """
 
     name: str
     kind: str
@@ -635,7 +647,9 @@ def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
 
 
 def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
-    """Return the mean share that causes claim to close if the right cause is withheld from the library."""
+    """Return the mean share that causes claim to close if the right cause is withheld from the library. The figure for
+    reported wrong causes, in contrast, includes only cases in which the right cause was available.
+    """
     claims = [
         max(answer.closed, 0.0) if isfinite(answer.closed) else 0.0
         for answer in answers

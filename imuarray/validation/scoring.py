@@ -1,4 +1,5 @@
-"""The score of a validation run: outcomes against the sealed truth; every figure has an interval and a bar.
+"""The score of a validation run: its outcomes are compared with the sealed truth, and every figure has an interval and
+a bar.
 
 ::
 
@@ -6,7 +7,8 @@
     print(format_text(figures))
 
 Random worlds are judged on all their plans, the fixed plans on the full one; the figures of the other plans are cells.
-Only lost cases are omitted, and they are listed. Effects that a plan cannot show have a separate row.
+Only lost cases are omitted, and they are listed. The figures of detection and causes exclude effects that a plan cannot
+show; these have a separate row.
 
 Each world has its own figures. The loss of a figure from the emulated worlds, on which the diagnosis was developed, to
 another world is its transfer gap. It estimates the loss on data from other sources; a comparison of the cases with one
@@ -155,7 +157,9 @@ MOST_CELLS = 8
 
 @dataclass(frozen=True)
 class Figures:
-    """All figures of a run: `plan` is its plan.json, `cases` includes those `lost`, bars are judged on plan `full`."""
+    """All figures of a run. `plan` is its plan.json, `cases` counts all cases including those `lost`; `full` names the
+    plan on which bars are judged.
+    """
 
     plan: Mapping[str, Any]
     full: str
@@ -316,7 +320,9 @@ def as_json(figures: Figures) -> dict[str, Any]:
 
 
 def format_text(figures: Figures) -> str:
-    """Format the figures in at most 120 columns: rows with marks, the cells that miss a bar, and the lost cases."""
+    """Format the figures for the terminal, at most 120 columns: every row with its mark, the cells that miss a bar, and
+    the lost cases.
+    """
     heading = f"{figures.half or 'validation'} half: {figures.cases} cases, {len(figures.lost)} lost"
     lines = [heading, "", _format_line("", "figure", "value", "95 %", "cases", "bar")]
     shown = shown_rows(figures)

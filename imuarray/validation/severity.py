@@ -104,7 +104,9 @@ def find_severity(statistic: Callable[[float], float], wanted: float, first: flo
 
 
 def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> float:
-    """Return the next severity: by the power law through the last two, or in proportion; ten times if invisible."""
+    """Return the next severity: by the power law through the last two, or in proportion to the last one; ten times the
+    last one if the effect is not visible.
+    """
     severity, reached = trials[-1]
     power = 1.0
     if reached < 0.05:
@@ -151,7 +153,9 @@ class _LogPair:
         self.track = _track(plain)
 
     def motion(self) -> tuple[Floats, Floats, Floats]:
-        """Return the commanded force (n, 3) in g and rate (n, 3) in dps, sensor axes, degC (n,); 0 without a track."""
+        """Return the commanded motion at the rows: force (n, 3) in g and rate (n, 3) in dps, in the sensor's axes, and
+        temperature (n,) in degC; zeros without a track.
+        """
         count = len(self.time)
         if self.track is None:
             return np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
@@ -181,7 +185,8 @@ class _LogPair:
 
 def _unknown_tilt(log: Log, sensor: SensorLog) -> float:
     """Return one sigma of the unknown angle of the box in rad that changes the readings of a sensor: 0 for other
-    quantities and if other accelerometers also show the attitude; unbounded if no phase states it.
+    quantities and if other accelerometers also show the attitude; practically unbounded if no phase states which axis
+    was up.
     """
     forces = [other for other in log.sensors.values() if other.quantity == "specific_force"]
     if sensor.quantity != "specific_force" or len(forces) > 1:
@@ -220,7 +225,9 @@ def _windows(counts: Floats) -> Floats:
 
 
 def _quiet(counts: Floats) -> Booleans:
-    """Return (m,) whether a window is at rest: its deviation is at most `_QUIET` times the lower quartile of all."""
+    """Return (m,) whether each window is at rest: its standard deviation is at most `_QUIET` times the lower quartile
+    of all windows.
+    """
     spread = _windows(counts).std(axis=1).max(axis=1) if len(counts) >= _WINDOW else np.zeros(0)
     return np.asarray(spread <= _QUIET * np.quantile(spread, 0.25) + 1e-9) if len(spread) else np.zeros(0, bool)
 
@@ -379,7 +386,9 @@ def _responses(header: SensorHeader, axis: int) -> list[float]:
 
 
 def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of the log spectrum at rest, without what noise power, cutoff and rounding explain."""
+    """Yield the statistic of the logarithmic spectrum at rest over all logs, without the part that the noise power, a
+    change of the cutoff and the noise of rounding explain.
+    """
     changes, filters, roundings = list[tuple[Floats, float]](), list[Floats](), list[Floats]()
     for pair in pairs:
         before, after = (_spectra(counts[: pair.rows], pair.quiet) for counts in (pair.counts, pair.new_counts))
@@ -402,7 +411,9 @@ def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
 
 
 def _cutoff_slope(pair: _LogPair, bins: int) -> Floats:
-    """Return (bins,) the change of the log spectrum by a relative change of a one-pole cutoff, up to half the rate."""
+    """Return (bins,) the change of the logarithmic spectrum for a relative change of the cutoff of one pole, from the
+    first frequency above zero to half the rate of the rows.
+    """
     cutoff_hz = noise_bandwidth_hz(pair.header)
     if cutoff_hz <= 0:
         return np.zeros(bins)
@@ -454,7 +465,9 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
 
 
 def _displacements(header: SensorHeader, axis: int) -> Floats:
-    """Return (21, 3) in g what a displacement along each axis adds to an axis, by column of `_motion_responses`."""
+    """Return (21, 3) the response that a displacement along each axis (one sigma) adds to an axis of an accelerometer,
+    in g, for each column of the design of `_motion_responses`.
+    """
     added = np.zeros((_COLUMNS, 3))
     if header.unit == "g":
         products, turns = np.split(rotation_columns()[:, axis] * POSITION_SIGMA_MM * 1e-3 / SI_PER_UNIT["g"], [6])
@@ -463,7 +476,9 @@ def _displacements(header: SensorHeader, axis: int) -> Floats:
 
 
 def _delay_s(header: SensorHeader) -> float:
-    """Return one sigma of a signal's delay in s: by the filter's cutoff tolerance, plus one sample of the chip."""
+    """Return one sigma of the delay of a sensor's signal in s: that of its filter, from the tolerance of its cutoff,
+    plus one sample of the chip.
+    """
     cutoff_hz = noise_bandwidth_hz(header)
     filter_s = CUTOFF_TOLERANCE * two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
     return filter_s + (1 / header.rate_hz if header.rate_hz > 0 else 0.0)
@@ -516,7 +531,8 @@ def _row_sigma(counts: Floats, quiet: Booleans) -> Floats:
 
 def _rounding_share(row_sigma: Floats, step: int) -> Floats:
     """Return (3,) half the relative amplitude at which the share of codes of a residue class modulo `step` varies with
-    the level of a rounded normal quantity: its first harmonic. Over pi, for a step of 1, it is the mean code's error.
+    the level of a rounded normal quantity: its first harmonic. Divided by pi, for a step of 1, it is the amplitude of
+    the error of the mean code.
     """
     return np.asarray(np.exp(-2 * (pi * row_sigma / step) ** 2))
 

@@ -1,4 +1,5 @@
-"""One case from its recording to its outcome: recorded by the generator, diagnosed blindly, and by an oracle.
+"""One case from its recording to its outcome: the generator records it, it is diagnosed blindly and then once more by
+an oracle.
 
 The diagnosis receives the paths of the logs, the effects that are withheld from its library and the model. Only the
 oracle receives the active mechanisms; its library contains nothing else.
@@ -42,7 +43,7 @@ _WORST = 20
 
 
 class CaseRecording(NamedTuple):
-    """A case completed with values determined in its recording, the paths of its logs, and the truth."""
+    """A case with the values that its recording determined, the paths of its logs, and the truth."""
 
     case: Case
     logs: list[Path]
@@ -132,7 +133,9 @@ def model_with(extra: Mapping[str, Any], headers: Iterable[SensorHeader]) -> Mod
 
 
 def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the share that a diagnosis with known effects and sensors closes, without evidence, with its interval."""
+    """Return the share closed by a diagnosis that knows the effects and their sensors, with its interval. It needs no
+    evidence that they are present, and considers no others.
+    """
     effects = {name for names in case.resembles for name in names}
     sensors = {name for mechanism in truth["mechanisms"] for name in mechanism["sensors"]} & compared.headers.keys()
     candidates = {name: mechanism for name, mechanism in CANDIDATES.items() if name in effects}
@@ -141,7 +144,9 @@ def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str
 
 
 def frozen_thresholds() -> dict[str, Any]:
-    """Return the thresholds of the diagnosis and the software's version, noted so that a change is noticed."""
+    """Return the thresholds of the diagnosis by name, with the version of the software. They are recorded when a run
+    begins, so that a change during the run is noticed.
+    """
     return {
         "significance level of a gap": assessment.LEVEL,
         "least gain (nats) of a candidate that is pursued": forward_selection.WORTH,

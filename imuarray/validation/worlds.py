@@ -34,7 +34,9 @@ one processor, the search for causes several times as long.
 MOST_SECONDS = 600.0
 """Maximum duration of all logs of a case, in s."""
 MOST_READINGS_PER_S = 2500.0
-"""Maximum readings per second of all sensors: a bus at 400 kHz (0.25 ms for a triad) with a third in reserve."""
+"""Maximum number of readings of all sensors per second: the capacity of a bus at 400 kHz (0.25 ms for a triad) with a
+reserve of a third.
+"""
 RATES_HZ = (20.0, 25.0, 32.0, 50.0, 64.0, 100.0, 128.0, 200.0, 250.0, 400.0, 500.0, 1000.0)
 KINDS = ("static", "tumble", "heating", "turn-on", "motion")
 """The experiments, in the order in which they are recorded."""
@@ -96,7 +98,9 @@ _USUAL_S: Mapping[str, tuple[float, float]] = {
 
 
 class WorldSensor(NamedTuple):
-    """One sensor of a world: chip, range (0: fixed), mounting ("": barometer), I2C address, readings per second."""
+    """One sensor of a world: its chip, range (0: fixed), mounting ("" for a barometer), I2C address, and the number of
+    readings per second.
+    """
 
     chip: str
     range: float
@@ -108,7 +112,8 @@ class WorldSensor(NamedTuple):
 @dataclass(frozen=True)
 class World:
     """The draw of one seed. `array` is its TOML text and `sensors` are those in it, by name; `sessions` are the logs,
-    `room` and `recorder` their conditions, all as tables of the generator; `strata` are the properties of breakdowns.
+    `room` and `recorder` their conditions, all as tables of the generator; `strata` names the properties by which
+    figures are broken down.
     """
 
     seed: int
@@ -147,7 +152,9 @@ class World:
         return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
 
     def twins(self) -> list[tuple[str, str]]:
-        """Return pairs of sensors of one chip and range in different mountings; equal ones could be exchanged."""
+        """Return the pairs of sensors of one chip and range that are mounted differently: two that are mounted alike
+        can be exchanged without any change of the readings.
+        """
         pairs = itertools.combinations([(name, self.sensors[name]) for name in self.inertial], 2)
         return [
             (name, other)
@@ -297,7 +304,8 @@ def _rates(
     even: Mapping[str, float], sensors: list[Table], kinds: Sequence[str], random: np.random.Generator
 ) -> tuple[float, dict[str, float]]:
     """Return the frame rate, which is the highest that the draw, the bus and the budget of rows allow, and the reading
-    rate of each sensor. In a third of the worlds, some inertial chips' queues are read.
+    rate of each sensor. In a third of the worlds, all samples of some accelerometers and gyroscopes are read from the
+    chip's queue.
     """
     wanted = RATES_HZ[int(even["rate"] * len(RATES_HZ))]
     queued = [sensor for sensor in sensors if CHIPS[sensor["chip"]].has_fifo]
