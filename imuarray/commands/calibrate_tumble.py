@@ -96,7 +96,9 @@ def _turns(fit: TurnFit) -> dict[str, Any]:
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """Print the paper's Appendix B and Table 4, responses, residuals, exclusions, and what opposing axes cancel."""
+    """Print the figures of Appendix B and Table 4 of the paper for this array, the responses of the gyroscopes, the
+    residuals, the exclusions, and what opposing axes cancel.
+    """
     click.echo(f"{report['poses']} {_METHODS[report['method']]}")
     _print_axes(report["sensors"])
     _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
@@ -127,7 +129,9 @@ def _print_axes(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _print_g_sensitivity(rows: Sequence[dict[str, Any]], method: str) -> None:
-    """Print the matrices by box axes; in brackets: two standard errors, or half the drift, can explain it."""
+    """Print the matrices by box axes; values that two standard errors, or half the drift between faces, can explain are
+    in brackets.
+    """
     by_drift = "" if method == "gravity" else ", or than half the drift"
     if rows:
         click.echo(
@@ -166,7 +170,7 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _print_residuals(report: dict[str, Any]) -> None:
-    """Print the rms residuals over poses in mg (fitted, cross-validated, with the stored bias) and drift."""
+    """Print the rms residuals over the poses in mg (fitted, cross-validated, with the stored bias) and the drift."""
     click.echo("length of the calibrated specific force less 1 g, rms over the poses (mg):")
     click.echo(
         f"{'':14} {'fitted':>8} {'predicted':>9} {'stored':>8} {'over noise':>11}   {'worst pose':20} drift x, y, z"

@@ -232,7 +232,9 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
 
 
 class _Quality:
-    """The errors of results against the log's truth, in SI, or else their noise at rest. A context manager."""
+    """The errors of results with respect to the truth in the log, in SI; their noise at rest if it has none. A context
+    manager.
+    """
 
     def __init__(self, log: Log) -> None:
         from imuarray.fuse import ErrorEvaluation

@@ -125,7 +125,9 @@ def _cells(error: dict[str, Any] | None, factor: float) -> str:
 
 
 def evaluate_techniques(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
-    """Return the evaluation of all techniques on a log and `names` of sensors, JSON-ready, in SI and degrees."""
+    """Return the evaluation of all techniques on a log, JSON-ready, in SI except for headings in degrees, and show a
+    progress bar. Only sensors in `names` are used if it is not empty.
+    """
     from imuarray.fuse import compare
 
     with share_progress("techniques") as progress:

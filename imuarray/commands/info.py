@@ -113,7 +113,7 @@ def _sensor(sensor: SensorLog) -> dict[str, Any]:
 
 
 def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
-    """Return the median (of at most about `_SAMPLED` rows) and the maximum of `time_uncertainty`, if any."""
+    """Return the median (of about `_SAMPLED` rows at most) and maximum of `time_uncertainty`; None if it is missing."""
     import numpy as np
 
     column = sensor.time_uncertainty
@@ -186,7 +186,9 @@ _LEAST_WIDTH = 40
 
 
 def _print_line(text: str) -> None:
-    """Print a line with control characters escaped, wrapped at the terminal's width and indented."""
+    """Print a line with control characters escaped, because it may contain text from a file. One that is longer than
+    the terminal is wide goes on in further lines, indented.
+    """
     width = max(get_terminal_size((_UNLIMITED, 24)).columns, _LEAST_WIDTH)
     for line in wrap(printable(text), width, subsequent_indent=" " * 6, break_on_hyphens=False, break_long_words=False):
         click.echo(line)

@@ -322,7 +322,9 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
 
 
 def _judge(options: LogOptions, array: ArrayConfig) -> StartStateDetector | None:
-    """Return the detector of wrong start-up states; None without a calibration that states any."""
+    """Return the detector of wrong start-up states; None without a calibration, or if --calibration is for --fuse and
+    its file states none.
+    """
     if options.calibration is None:
         return None
     from imuarray.calibrate import load_calibration

@@ -24,7 +24,9 @@ from imuarray.printable import duration, encodable
 
 
 class PathName(click.Path):
-    """The name of a file or folder, converted to a Path. An empty name is a usage error."""
+    """The name of a file or folder, converted to a Path. An empty name, which a Path takes for the current folder, is a
+    usage error.
+    """
 
     def __init__(self, *, exists: bool = False, file_okay: bool = True) -> None:
         """Check names as `click.Path` with the same arguments does."""
@@ -126,7 +128,9 @@ def output_option(*, folder: bool = False, **settings: Any) -> Any:
 
 
 def takes(options: type[_Options]) -> Callable[[Callable[[_Options], _Result]], Callable[..., _Result]]:
-    """Return a decorator of a function of one dataclass `options`, whose fields are the command's parameters."""
+    """Return a decorator of a function whose one argument is an instance of the dataclass `options`: the fields of the
+    class, in their order, are the parameters of the command.
+    """
 
     def decorate(function: Callable[[_Options], _Result]) -> Callable[..., _Result]:
         @wraps(function)
@@ -148,7 +152,9 @@ def names_option(
     show_default: bool = False,
     may_be_empty: bool = True,
 ) -> Callable[[_Decorated], _Decorated]:
-    """Return an option whose value is a tuple of names, written with commas; it is refused if it must not be empty."""
+    """Return an option whose value is a tuple of names, written with commas between them. A text without a name is
+    refused unless `may_be_empty`.
+    """
 
     def split(context: click.Context, parameter: click.Parameter, text: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in text.split(",") if name.strip())
@@ -230,7 +236,7 @@ def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_n
 
 
 def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
-    """Make a folder for files of these names, after `refuse_existing` for each. ImuArrayError if that fails."""
+    """Make a folder for files of these names, after `refuse_existing` for each. ImuArrayError if it cannot be made."""
     for name in names:
         refuse_existing(folder / name, force, in_new_folder=True)
     try:
@@ -241,7 +247,9 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 
 @contextmanager
 def output_folder(folder: Path, names: Sequence[str], force: bool) -> Iterator[None]:
-    """Make a folder as `prepare_folder` does; if the block fails, remove it again if it is new and empty."""
+    """Make a folder as `prepare_folder` does. If the work in the block fails or is interrupted, a folder that did not
+    exist before is removed again, unless files are in it.
+    """
     is_new = not folder.exists()
     prepare_folder(folder, names, force)
     try:
@@ -303,7 +311,9 @@ def bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 class Steps:
-    """Progress of work in several steps: a bar for each, or a line every few seconds. A context manager."""
+    """Progress of work in several steps: a bar for each, or, without a terminal, a line on standard error every few
+    seconds, even without progress. A context manager.
+    """
 
     def __init__(self) -> None:
         self._label, self._done, self._length, self._begin_s = "", 0, 0, time.monotonic()
@@ -366,7 +376,9 @@ def signal_handlers(handlers: Mapping[int, Any]) -> Iterator[None]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Let SIGTERM and an unignored SIGHUP raise KeyboardInterrupt, as Ctrl-C does, in the main thread."""
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt as Ctrl-C does, so that everything is cleaned up. A SIGHUP that is
+    ignored (nohup) stays ignored. Does nothing outside the main thread.
+    """
     usual = [number for number in _ENDING[1:] if signal.getsignal(number) is signal.SIG_DFL]
     with signal_handlers(dict.fromkeys(usual, signal.default_int_handler) if _in_main_thread() else {}):
         yield
@@ -378,7 +390,9 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], None]]:
-    """Yield a function that raises KeyboardInterrupt again if Python lost one in the garbage collector."""
+    """Yield a function that raises KeyboardInterrupt again if Python lost one, because it was raised inside a callback
+    of the garbage collector.
+    """
     asked = False
 
     def ask(number: int, frame: Any) -> None:
