@@ -209,7 +209,9 @@ def head_with(content: Content, **more: Any) -> Mapping[str, Any]:
 
 @contextmanager
 def _fused_content(request: ExportRequest) -> Iterator[Content]:
-    """Open the table of a fused file; ExportError for options of a log, LogError for a damaged or hostile file."""
+    """Open the table of a fused file; ExportError for options that apply only to a log, LogError for a damaged or
+    hostile file.
+    """
     path = request.source
     if request.sensors or request.calibration is not None or request.units not in (None, "si"):
         raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert, and is in SI")

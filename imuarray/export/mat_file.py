@@ -53,7 +53,7 @@ def _save(file: IO[bytes], name: str, struct: dict[str, Any]) -> None:
 
 
 def _head(content: Content, names: list[str]) -> dict[str, Any]:
-    """Return the description of the file: fields for readers, and all as JSON for programs."""
+    """Return the description of the file: some fields for readers, the complete description as JSON for programs."""
     columns = zip(*content.phases, strict=True) if content.phases else [[]] * 4
     start, end, phase, up = (list(column) for column in columns)
     columns = zip(*content.events, strict=True) if content.events else [[]] * 4

@@ -130,7 +130,7 @@ class _ChannelStream:
         return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:
-        """Read blocks until many rows are buffered: messages are merged only to the earliest end of all."""
+        """Read blocks until many rows are buffered: messages are merged only up to the earliest end of all buffers."""
         while not self._last and len(self.waiting.time_ns) < _BLOCK:
             block = next(self._blocks, None)
             if block is None:
@@ -146,7 +146,9 @@ class _ChannelStream:
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write all tables, phases and events to `path`, by default in SI; ExportError for a wrong epoch or unit."""
+    """Write all tables, phases and events to `path`, in SI unless other units are requested; ExportError for an epoch
+    that is not a date, and for units that ROS 2 does not allow.
+    """
     for_ros2 = request.tool == "ros2"
     if for_ros2 and request.units not in (None, "si"):
         raise ExportError(f"{path}: messages of ROS 2 are in SI; leave units out")
@@ -164,7 +166,9 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _merge(container: Container, streams: Sequence[_ChannelStream], source: str) -> None:
-    """Write all messages by time, equal times by stream. ExportError for a time that MCAP can't represent."""
+    """Write all messages in the order of their times; messages of equal times are in the order of the streams.
+    ExportError for a time that MCAP can't represent.
+    """
     while True:
         for stream in streams:
             stream.fill()
@@ -389,7 +393,9 @@ class _NumberTexts:
         return self._texts[places].view(np.uint8).reshape(len(values), -1)[:, :width]
 
     def _places(self, bits: npt.NDArray[Any], is_float: bool) -> Indices:
-        """Return the indices (n,) of numbers in the known list, which grows; floats by `bits`, as -0.0 is not 0.0."""
+        """Return the indices (n,) of numbers in the list of known numbers; unknown ones are added to it. Floats are
+        compared by their `bits`, because -0.0 and 0.0 have different texts.
+        """
         if len(self._known):
             places = np.minimum(np.searchsorted(self._known, bits), len(self._known) - 1)
             is_new = self._known[places] != bits

@@ -69,7 +69,9 @@ def imu_schema() -> dict[str, Any]:
 
 
 def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an Imu message: `row` has triads, six entries of covariance ("_covariance") and a temperature."""
+    """Return an Imu message. `row` has a triad by quantity, the six entries of its covariance by quantity with
+    "_covariance", and a temperature.
+    """
     message: dict[str, Any] = {"header": {"stamp": time_of(nanoseconds), "frame_id": "box"}}
     message["orientation_covariance"] = _NOT_KNOWN
     for quantity, name in _IMU.items():

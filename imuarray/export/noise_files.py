@@ -137,7 +137,9 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
 
 
 def _is_moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
-    """Return which frames (n,) are in a second of motion, by their scatter or a change of mean."""
+    """Return which frames (n,) are in a second of motion: the readings scatter more than those of a box at rest, or
+    their mean differs from that of the second before or after.
+    """
     second = (time - time[:1]) // 1_000_000_000
     moving = np.zeros(int(second[-1]) + 1 if len(second) else 0, bool)
     for quantity, triad in values.items():

@@ -42,7 +42,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def array_names(tables: Iterable[ExportTable]) -> dict[str, dict[str, str]]:
-    """Return the name of the array of each column of each table: Gyro1_counts, then Gyro1_counts_2."""
+    """Return the name of the array of each column of each table: Gyro1_counts, or Gyro1_counts_2 if that is taken."""
     used = {NPZ_HEADER}
     names: dict[str, dict[str, str]] = {}
     for table in tables:

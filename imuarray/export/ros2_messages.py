@@ -93,7 +93,9 @@ Cells = Mapping[str, npt.NDArray[np.float64]]
 
 
 class Topic(NamedTuple):
-    """A topic of a bag: name, type, table, columns, and the function of its messages' numbers (n, k), nan: none."""
+    """A topic of a bag: its name and type, its table, the columns that it needs, and the function that computes the
+    numbers (n, k) of its messages; a row whose first number is nan has no message.
+    """
 
     name: str
     kind: str
@@ -146,7 +148,9 @@ def _topics_of(name: str, table: ExportTable, columns: Mapping[str, TableColumn]
 
 
 def _topic_name(name: str) -> str:
-    """Return a topic's name: letters, digits, single underscores, no part from a digit (design.ros2.org)."""
+    """Return the name of a topic: letters, digits and single underscores, none of its parts beginning with a digit
+    (design.ros2.org/articles/topic_and_service_names.html).
+    """
     parts = [re.sub(r"[^A-Za-z0-9]+", "_", part) for part in name.split("/", 1)]
     return "".join(f"/{part if part[:1].isalpha() else f's{part}'}" for part in parts)
 
@@ -186,7 +190,9 @@ def _imu(cells: Cells) -> Floats:
 
 
 def _values(cells: Cells, *, unknown: int) -> Floats:
-    """Return a MagneticField, FluidPressure or Temperature: the value (n, k), and `unknown` zeros for covariance."""
+    """Return the numbers of a MagneticField, a FluidPressure or a Temperature: the value (n, k), and `unknown` zeros
+    for its covariance, which is not known.
+    """
     (values,) = cells.values()
     return np.hstack([values, np.zeros((len(values), unknown))])
 

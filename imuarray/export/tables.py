@@ -23,7 +23,9 @@ ROWS = 1 << 14
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column with a number per row, or per `cells`; `kind` is its numpy type, `unit` as in CF ("1" for flags)."""
+    """A column of a table with one number per row, or one for each of `cells`; `kind` is its numpy type, `unit` is
+    spelled as in CF ("counts" for raw values, "1" for flags).
+    """
 
     name: str
     kind: str
@@ -63,7 +65,7 @@ class ExportTable:
 
 @dataclass(frozen=True)
 class Content:
-    """An open log or fused file as tables; `head` contains all but phases and events, as values for JSON."""
+    """An open log or fused file as tables; `head` has the other data, without phases and events, as values for JSON."""
 
     units: str
     epoch: str
@@ -80,7 +82,9 @@ class Content:
 
 
 def numbered(wish: str) -> Iterator[str]:
-    """Return an endless sequence of names: the name itself, then name_2, name_3, ..., for names in use."""
+    """Return an endless sequence of names: the name itself, then name_2, name_3, ..., so that a name in use can be
+    replaced by the next one.
+    """
     return chain([wish], (f"{wish}_{number}" for number in count(2)))
 
 
