@@ -78,7 +78,7 @@ def importer(name: str) -> Importer:
 
 
 def importer_of(source: str | PathLike[str]) -> Importer | None:
-    """Return the importer of a file of `imuarray export`; None for any other file. SourceError if it is unreadable."""
+    """Return the importer of a file that `imuarray export` wrote, or None; SourceError if the file is unreadable."""
     path = Path(source)
     first = [_first_bytes(path)]
     described = path.with_suffix(".json")

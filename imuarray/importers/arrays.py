@@ -180,7 +180,7 @@ def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _of_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
-    """Yield every array of an HDF5 file, such as a MATLAB file of version 7.3, with reversed dimensions."""
+    """Yield every array of an HDF5 file as it is stored; MATLAB 7.3 files store dimensions in reverse order."""
     with h5py.File(path, "r") as file:
         arrays: dict[str, Array] = {}
         names: list[str] = []

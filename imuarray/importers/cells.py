@@ -35,12 +35,16 @@ _HEADER_WITHIN = 50
 """Number of first rows in which a header is searched for that is not the first row."""
 
 MOST_RESTARTS = 1000
-"""Most backward steps of the time in a recording; with more, it holds no times, or its rows are out of order."""
+"""Largest number of backward steps of the time in a recording. A column with more does not contain times, or the rows
+are out of order.
+"""
 
 FEWEST_WHOLE_ROWS = 100
 _FEW_SUMMARIES = 16
 MOST_TORN = 0.01
-"""Largest share of the rows so far that may have another number of cells, after `FEWEST_WHOLE_ROWS` complete ones."""
+"""Largest share of the rows so far that are omitted because they have another number of cells; at least
+`FEWEST_WHOLE_ROWS` complete rows must precede them.
+"""
 
 LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""
@@ -63,7 +67,9 @@ _DIGITS = frozenset("0123456789")
 
 
 class CellColumn(NamedTuple):
-    """The cells of a column in a block with line numbers: texts, or numbers of a binary file (`values`, with rows)."""
+    """The cells of one column in one block with their line numbers: texts, or numbers of a binary file (`values`, with
+    rows in the place of lines).
+    """
 
     source: str
     label: str
@@ -92,7 +98,9 @@ class CellColumn(NamedTuple):
         return np.array([text[-1:] not in _DIGITS and text.strip().lower() in MISSING for text in self.texts], bool)
 
     def torn(self) -> npt.NDArray[np.bool_]:
-        """Return (n,) which cells are text in place of a number, as on a damaged line; none unless they are rare."""
+        """Return (n,) which cells are text in the place of a number, as a damaged line has it; none unless they are
+        rare, because a column of words is not one of readings.
+        """
         nothing = np.zeros(self.rows, bool)
         is_excerpt = self.rows < FEWEST_WHOLE_ROWS and (not self.rows or self.lines[0] <= FEWEST_WHOLE_ROWS)
         if self.values is not None or is_excerpt:
@@ -247,7 +255,9 @@ class TextTable:
             yield self.line, row
 
     def _is_summary(self, row: Sequence[str], rows_read: int) -> bool:
-        """Return whether a row after readings summarises them: a word in place of a number ("Mean"), then numbers."""
+        """Return whether a row after the readings summarises them: its first cell is a word, for example "Mean", where
+        readings have a number, and another cell is a number. A table has few of these rows.
+        """
         first = row[0].strip()
         is_worded = first[:1].isalpha() and first.lower() not in MISSING and not _is_number(first)
         is_rare = self.left_out["summary"] < max(_FEW_SUMMARIES, MOST_TORN * rows_read)
@@ -350,7 +360,9 @@ def is_rule(line: str) -> bool:
 
 
 def plain_sentence(line: str) -> str:
-    """Return a sentence of NovAtel or Razor, which begins like a comment ("#A-R=1.5,2,255"), as cells."""
+    """Return a sentence that begins like a comment, of NovAtel's receivers or Razor's boards ("#A-R=1.5,2,255"), as
+    cells that commas separate.
+    """
     sentence = _NOVATEL.fullmatch(line) or _RAZOR.fullmatch(line)
     return line if sentence is None else f"{sentence[1]},{sentence[2]}"
 
@@ -443,7 +455,9 @@ _LOOKED_AT = 64
 
 
 def is_utf16(data: bytes) -> bool:
-    """Return whether a text begins with a byte order mark of UTF-16, and has zero bytes as UTF-16 does."""
+    """Return whether a text begins with a byte order mark of UTF-16 and has zero bytes as UTF-16 does; the bytes from a
+    serial port while a board starts may be equal to the mark.
+    """
     return data[:2] in _UTF16 and (len(data) < _LOOKED_AT or data[2:_LOOKED_AT].count(0) > _LOOKED_AT // 4)
 
 
@@ -471,7 +485,9 @@ Blocks = Iterator[tuple[CellBlock, list[int]]]
 
 
 class CodeConversion(NamedTuple):
-    """The conversion of cells into counts of `count_bits`, by `sensitivity`, `offset` or two's complement of `bits`."""
+    """The conversion of cells into counts of `count_bits`: codes in two's complement of `bits` (None: signed codes),
+    minus `offset`. With a `sensitivity` (counts per unit) the cells are in a unit.
+    """
 
     sensitivity: float | None = None
     offset: int = 0
@@ -489,7 +505,9 @@ CODES = CodeConversion()
 
 
 def counts(column: CellColumn, codes: CodeConversion = CODES) -> npt.NDArray[np.signedinteger]:
-    """Return (n,) counts, int32 above 16 bits; SourceError for a cell that is not an integer of at most 32 bits."""
+    """Return (n,) counts, int32 if `codes.count_bits` is more than 16. SourceError for a cell that is not a number, is
+    a fraction of a count (without a sensitivity), or is not a code of `codes.bits` or a count of `codes.count_bits`.
+    """
     values = numbers(column)
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
     if codes.sensitivity is None and (whole != values).any():
@@ -581,7 +599,7 @@ class TimeColumn:
         return times
 
     def stamps(self, column: CellColumn) -> npt.NDArray[np.int64]:
-        """Return the times (n,) in ns as the cells state them; SourceError for a cell that is not a time."""
+        """Return the times (n,) in ns as the cells state them, in any order; SourceError for a cell without a time."""
         if column.values is not None:
             return self._of_numbers(column)
         return np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
@@ -595,7 +613,9 @@ class TimeColumn:
         )
 
     def _joined(self, column: CellColumn, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Continue times that step back, at the usual interval; SourceError if they step back often."""
+        """Continue times that step back from the row before at the usual interval; SourceError if they step back more
+        than `MOST_RESTARTS` times.
+        """
         if not len(times):
             return times
         steps = np.diff(times, prepend=times[0] if self.last_ns is None else self.last_ns - self._restart_ns)
@@ -683,7 +703,9 @@ def _date_ns(column: CellColumn, row: int, text: str) -> int:
 
 
 def _without_leap_second(text: str) -> tuple[str, int]:
-    """Return a time in second 60 as one in second 59, and the difference in ns, so that second 0 occurs twice."""
+    """Return a time in second 60 as a time in second 59, and the difference of 1 s in ns; 0 ns for other times. The sum
+    is second 0 of the next minute, which then occurs twice (`restarts` in the map).
+    """
     if _LEAP_SECOND.search(text):
         return text.replace(":59:60", ":59:59", 1), 1_000_000_000
     return text, 0

@@ -15,7 +15,9 @@ from imuarray.printable import counted, listed
 
 
 def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
-    """Flag rows of triads at the end of the range. Returns a sentence for the sensors that clip in the same way."""
+    """Flag the rows of triads at the end of the range. Returns sentences that state the sensors, one for all sensors
+    that clip in the same way.
+    """
     clipping: dict[str, list[tuple[str, int]]] = {}
     for header in headers:
         rails = find_rails(log[header.name])

@@ -37,7 +37,9 @@ _SAME_AMOUNT = 0.15
 
 _LEAST_BIT = 64.0
 _NEAR_BIT = 0.08
-"""Least size of a lost bit in counts, above noise, and largest relative difference of the median distance from it."""
+"""Least size in counts of a lost bit that can be distinguished from noise, and largest relative difference of the
+median distance from it.
+"""
 
 _FULL = 0.05
 """Largest relative difference of the range in counts from half of all codes of 16 bits."""

@@ -53,7 +53,9 @@ _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UN
 """The quantity of each unit; every unit belongs to one quantity."""
 _PART = re.compile(r"(.*)\[\d+\]")
 _FOURTH: Mapping[str, str] = {"xyz": "w", "XYZ": "W", "012": "3", "123": "0", "ENZ": "\0"}
-"""Name of a fourth column after three that look like a triad, whose first may be their time; none after E, N, Z."""
+"""Name of the fourth of four columns, by the names of three that look like a triad; column 0 may be their time.
+Seismometers have east, north and up, and no fourth column.
+"""
 _COMPASS: Mapping[str, str] = {"EW": "E", "NS": "N", "UD": "Z"}
 """Names of east, north and up in the files of K-NET's seismometers, with the letters used here."""
 _TRIAD_AND_TIME = 4
@@ -75,7 +77,7 @@ _ANDROID_TYPES: Mapping[str, str] = {
 
 
 def words_of_kind(kind: str, column: str) -> str:
-    """Return the name of a kind of rows: itself, or the name of a number in Android's column of sensor types."""
+    """Return the name of a kind of rows: the kind, or the name of a number in Android's column of sensor types."""
     return _ANDROID_TYPES.get(kind, kind) if "type" in column.lower() else kind
 
 
@@ -218,7 +220,9 @@ def _is_temperature(name: str, units: Mapping[str, str]) -> bool:
 
 
 def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force_unit: str) -> str:
-    """Propose the sensor of a kind of rows: time, three columns. Return "m/s2" once a sensor has that unit, else ""."""
+    """Propose the sensor of a kind of rows: time, and the three columns after it. Return "m/s2" once a sensor of this
+    table has that unit, else "".
+    """
     quantity = next((what for what, words in QUANTITIES if words.search(kind)), "specific_force")
     item = propose_sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
     item.insert(2, f"kind = {quoted(kind)}")
@@ -298,7 +302,9 @@ def _attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tupl
 def _with_gravity_again(
     triads: list[NamedTriad], names: Sequence[str], columns: Sequence[Floats], proposal: Proposal
 ) -> list[NamedTriad]:
-    """Return the triads with gravity and linear acceleration combined, if the table has no accelerometer readings."""
+    """Return the triads with gravity and the acceleration without gravity combined into one, if the table has no
+    readings of an accelerometer.
+    """
     forces = [indices for quantity, indices in triads if quantity == "specific_force"]
     if names:
         pulls = [indices for indices in forces if _GRAVITY.search(names[indices[0]])]

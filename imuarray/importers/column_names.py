@@ -59,7 +59,9 @@ def column_label(names: Sequence[str], index: int) -> str:
 
 
 def quantity_of(name: str) -> str:
-    """Return the quantity that a name states, in its last part ("imu.gyro") or as a whole; "" if none or attitude."""
+    """Return the quantity that a name states, in its last part ("imu.gyro") or else in the whole name; "" if it states
+    no quantity, or an attitude.
+    """
     if ATTITUDE.search(name):
         return ""
     for part in dict.fromkeys((re.split(r"[./](?!\*)", name)[-1], name)):

@@ -138,7 +138,9 @@ class _Tables:
         return [[*(_time(text, path) for text in row[:numbers]), *row[numbers:]] for row in rows]
 
     def _open(self, path: Path) -> tuple[BinaryIO, int]:
-        """Open a file at its row of names, with the number of lines before; SourceError, also for irregular files."""
+        """Open a file at its row of names, and return the number of lines before that; SourceError if it does not
+        exist, is not a regular file, or begins with other comments.
+        """
         if not path.is_file():
             raise SourceError(f"{path}: no such file, although {self._path.name} names it")
         file = open_source(path, self._output)

@@ -38,7 +38,9 @@ from imuarray.units import UNITS_OF
 _MIMU4444 = 'file = { format = "mimu4444" }'
 
 _SAME_SCALE = 0.25
-"""Largest log ratio of the rotations of gravity and gyroscope, due to quick motion, at which a guess is kept."""
+"""Largest log ratio between the rotation of gravity and that by a gyroscope, due to quick motion, at which a guessed
+sensitivity is kept.
+"""
 _NEAR_UNIT = 0.3
 """Greatest log ratio between the rotation of gravity and that by a gyroscope at which a unit explains it."""
 
@@ -75,7 +77,7 @@ def guess_map(source: str | Path) -> str:
 
 
 def _assumed_scales(proposal: Proposal) -> Iterator[str]:
-    """Yield a doubt about each gyroscope with an assumed unit or scale, if no rotations determine it."""
+    """Yield a doubt about each gyroscope of assumed unit or scale, if no rotations of the recording determine it."""
     for item in filter(_is_gyroscope, proposal.items):
         if item.is_guess("sensitivity"):
             per_dps = item.line("sensitivity").split()[2]
@@ -155,7 +157,9 @@ set back, sorting puts the rest of the recording before its beginning.
 
 
 def _extreme_intervals(log: Log) -> tuple[float, float]:
-    """Return the shortest interval of any sensor's rows relative to the median, and the longest to the duration."""
+    """Return the shortest interval between rows of any sensor, as a share of its median interval, and the longest, as a
+    share of the time of all its rows.
+    """
     shortest, longest = [], []
     for sensor in log.sensors.values():
         intervals = [np.diff(np.asarray(sensor.time[block.start : block.stop + 1])) for block in sensor.blocks()]
@@ -250,7 +254,9 @@ def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
 
 
 _SUBTRACTED, _NO_UNIT_EXPLAINS = "gravity may have been removed", "or the unit may be wrong"
-"""Phrases of a report on a sensor without gravity: always, and if the size of its readings fits no other unit."""
+"""Phrases of a report on a sensor without gravity: the first always, the second if the size of its readings does not
+agree with another unit.
+"""
 
 
 def _is_called_computed(item: Item) -> bool:
@@ -259,7 +265,9 @@ def _is_called_computed(item: Item) -> bool:
 
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:
-    """Replace 1024 counts per g, guessed from one direction of gravity, by mg, if all directions agree with mg."""
+    """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if gravity in all directions agrees
+    with mg.
+    """
     changed = False
     for item in proposal.items:
         length = 1024 * radii.get(item.name, 0.0)
@@ -350,7 +358,9 @@ def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
 
 
 def _correct_unit(item: Item, factor: float) -> bool:
-    """Replace a gyroscope's guessed unit by one that agrees with the factor, or by a wide scale of a data sheet."""
+    """Replace the guessed unit of a gyroscope's values by the unit that agrees with the factor, if any; or by the scale
+    of codes of more than 16 bits, if one from a data sheet agrees.
+    """
     if not _has_guessed_unit(item):
         return False
     units = UNITS_OF["angular_rate"]

@@ -225,7 +225,9 @@ class TimeTable(BaseModel):
 
 
 class ThermometerTable(BaseModel):
-    """`temperature_column`: counts for `zero_degc` + counts / `lsb_per_degc`, or values in `unit`, stored as those."""
+    """The meaning of `temperature_column`: counts, which mean `zero_degc` + counts / `lsb_per_degc`; or values in
+    `unit`, which are converted to such counts (`scale`).
+    """
 
     model_config = _STRICT
     unit: Annotated[Literal["counts", "degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "counts"

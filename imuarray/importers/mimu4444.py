@@ -65,7 +65,9 @@ class Piece(NamedTuple):
 
 
 def read_packets(file: BinaryIO, block_bytes: int = BLOCK_BYTES) -> Iterator[Piece]:
-    """Yield the packets of `file` in pieces of about `block_bytes`, without an acknowledgement at the beginning."""
+    """Yield the packets of `file` in pieces of about `block_bytes`, without the board's acknowledgement of a command at
+    the beginning.
+    """
     cutter = _Cutter()
     head = file.read(4)
     block = (b"" if _is_acknowledge(head) else head) + file.read(block_bytes)
@@ -81,7 +83,9 @@ def _is_acknowledge(head: bytes) -> bool:
 
 
 class _Cutter:
-    """The state between blocks: undecided bytes, bytes skipped since a packet, undecided bytes of a broken packet."""
+    """The state between two blocks: undecided bytes (`rest`), bytes `skipped` and packets `broken` since the last
+    packet, and the number of undecided bytes in a packet that is already `counted` as broken.
+    """
 
     def __init__(self) -> None:
         self.rest = b""
@@ -157,7 +161,7 @@ COUNTER_HZ = 64_000_000
 TICKS_PER_PACKET = round(COUNTER_HZ / RATE_HZ)
 
 JUMP_S = 0.5
-"""Allowed difference in s between the counter and the packet numbers, plus 1 % of a gap; above it, an event."""
+"""Allowed difference in s between the counter and the packet numbers, plus 1 % of a gap; a larger one is an event."""
 
 EVENTS_PER_KIND = 100
 """Maximum number of events of one kind; the rest is one event with their number."""

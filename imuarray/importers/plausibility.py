@@ -41,7 +41,7 @@ from imuarray.printable import counted, listed, percent
 from imuarray.units import INERTIAL, STANDARD_GRAVITY, Quantity
 
 WINDOW_S = 0.5
-"""Length of the windows for rest and rotation: gravity changes little within them, and noise is averaged."""
+"""Length of the windows in which rest and rotation are detected: gravity changes little in them, noise is averaged."""
 
 TURN_WINDOW_S = 0.125
 """Length of the windows in which quick rotations are compared: a turn by hand takes a second. Slow rotations, in which
@@ -52,10 +52,14 @@ FEWEST_ROWS = 32
 """Fewest rows of a recording for doubts; a shorter one is an excerpt."""
 
 GRAVITY_OFF = 0.12
-"""Largest plausible relative error of 1 g at rest: 50 mg on each axis and a scale error of 3 % are a tenth."""
+"""Largest plausible relative difference of the force at rest from 1 g: an offset of 50 mg on each axis and a scale
+error of 3 % are together a tenth.
+"""
 
 NEAR_FACTOR = 0.1
-"""Largest log ratio of a measured force to 1 g times the ratio of two units at which their confusion explains it."""
+"""Largest log ratio between a measured force and 1 g times the ratio of two units at which a confusion of the units
+explains the force.
+"""
 
 NEAR_TURNS = 0.3
 """The same limit for rotations, which quick motion disturbs."""
@@ -67,7 +71,9 @@ LEAST_OFFSET = 64.0
 """Least code that is assumed to be the middle of an unsigned converter's range: with 8 bits it is 128."""
 
 RATES_HZ = (0.5, 20_000.0)
-"""Plausible rates of inertial and magnetic sensors: no chip is faster, and no program reads below once a second."""
+"""Plausible rates of inertial and magnetic sensors: no chip is faster, and a program may read once a second. A lower
+rate is due to a wrong unit of time.
+"""
 
 USUAL_RATES_HZ = (5.0, 5000.0)
 """Range in which the rate must be after a correction of the unit of time."""
@@ -91,7 +97,7 @@ force. The force then indicates a wrong unit only if it differs from 1 g by more
 """
 
 TURNS_DPS = 1.0
-"""Scatter of the means of a gyroscope's quiet windows in dps beyond noise, above which they are not at rest."""
+"""Scatter in dps of the means of a gyroscope's quiet windows, beyond their noise, above which they are not at rest."""
 
 MOST_BIAS_DPS = 80.0
 """Largest plausible reading of a gyroscope at rest: the largest zero-rate level of a data sheet is 75 dps (L3G-70)."""
@@ -102,7 +108,9 @@ NOISY_BIAS_DPS = 20.0
 
 RESOLVED_LSB = 0.3
 QUIET_DPS = 0.003
-"""Least rms noise of a MEMS gyroscope, compared above `RESOLVED_LSB` counts (rounding: 1 / sqrt(12))."""
+"""Least noise (rms) of a MEMS gyroscope. It is compared only if the noise exceeds `RESOLVED_LSB` counts: that of
+rounding is 1 / sqrt(12).
+"""
 
 MOST = MappingProxyType({"specific_force": 450.0, "angular_rate": 4500.0, "magnetic_field": 60.0})
 """Readings (g, dps, gauss) that no usual chip exceeds."""
@@ -138,10 +146,12 @@ their number to that of its next longest run: an axis at rest with little noise 
 
 OTHER_CODES = 5
 MOST_COMPARED = 4096
-"""Fewest codes of another axis during such a stop, in `MOST_COMPARED` rows: at rest all axes keep theirs."""
+"""Fewest different codes of another axis during such a stop, in at most `MOST_COMPARED` rows. At rest, an axis whose
+noise is less than a count keeps its code, and the other axes have few codes.
+"""
 
 FITS = 0.95
-"""Least correlation between the rotations of accelerometers and gyroscope at which other axes than the map's fit."""
+"""Least correlation of the rotations of accelerometers and gyroscope at which axes other than the map's fit."""
 
 BETTER = 0.1
 """Least difference between the best and the second-best correlation at which the best axes are stated."""
@@ -149,7 +159,9 @@ BETTER = 0.1
 FEWEST_TURNS = 20
 TURN_PASSES = 3
 MOST_HALF_TURN = 1.0
-"""Constants of the rotation fit: fewest rotations, iterations for their angle, and the largest half angle (rad)."""
+"""Constants of the rotation fit: the fewest rotations, the number of iterations in which the angle between windows is
+determined, and the largest half of this angle (rad) that is used.
+"""
 
 FOLLOWS = 0.8
 """Least correlation between the rotations of accelerometers and gyroscope at which their ratio is used."""
@@ -161,7 +173,9 @@ LISTED = 3
 """Maximum number of sensors of a quantity that are reported individually."""
 
 MOST_OF_A_TIME = 4.0
-"""Mean rows of equal time above which times are doubted: a clock of s hides the rate, one of ms hardly."""
+"""Mean number of rows with the same time above which the times are doubted. With a clock of milliseconds, two rows of a
+fast chip have the same time; a clock of seconds hides the rate.
+"""
 
 LOST_ROW = 1.5
 """Shortest gap after a single lost row, in usual intervals."""
@@ -188,7 +202,9 @@ _FIELD_UNITS: Mapping[float, str] = {
 _TURN_UNITS: Mapping[float, str] = {
     180 / np.pi: "rad/s, not dps", np.pi / 180: "dps, not rad/s", 1e-3: "mdps, not dps", 1e3: "dps, not mdps",
 }  # fmt: skip
-"""Confused units: forces and fields by the ratio of reading to known value, rotations by the factor of rates."""
+"""Confusions of units in a map: forces and fields by the ratio of the reading to the known value, rotations by the
+factor by which the rates must be multiplied.
+"""
 
 
 @dataclass(frozen=True)
@@ -249,7 +265,9 @@ def report_of(log: Log) -> Report:
 
 
 def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> Report:
-    """Store and return the report on an imported log, with the importer's `remarks`; LogError for an unusable log."""
+    """Store the report on an imported log, and the importer's `remarks`, in the log, and return the report; LogError if
+    the log cannot be read or written.
+    """
     with open_log(output) as log:
         report = report_of(log)
     store_import_report(output, ImportReport(report.facts, tuple(remarks), report.quirks, report.doubts))
@@ -258,7 +276,9 @@ def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> Report:
 
 @dataclass
 class _Examination:
-    """Observations of sensors: sentences, `levels` at rest by wording, windows where times and codes are plausible."""
+    """Observations of single sensors: sentences, their `levels` at rest by wording, and the windows of sensors with
+    plausible times and codes.
+    """
 
     quirks: _Sentences = field(default_factory=_Sentences)
     doubts: _Sentences = field(default_factory=_Sentences)
@@ -402,7 +422,9 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
 
 
 def _weightless(sensor: SensorLog) -> str:
-    """Return the doubt about an accelerometer in motion whose force averages to zero, as one without gravity; or ""."""
+    """Return the doubt about an accelerometer in motion whose force averages to zero and often vanishes, as an
+    acceleration without gravity does; "" about others.
+    """
     forces = np.asarray(sensor.counts[:MOST_COMPARED], float) / sensor.sensitivity
     length = np.linalg.norm(forces, axis=1)
     usual = float(np.median(length))
@@ -629,7 +651,9 @@ def _held_axis_in_words(sensor: SensorLog, axis: str, run: RunTally) -> str:
 
 
 def _are_unsigned(seen: Sequence[Histogram]) -> bool:
-    """Return whether no code is negative and the usual codes of all axes are near each other, unlike signed ones."""
+    """Return whether no axis has a negative code, and the usual codes of all axes are near each other. Signed forces
+    and rates are on both sides of zero, at least on one axis of three.
+    """
     usual = [float(codes.codes[np.searchsorted(np.cumsum(codes.counts), codes.counts.sum() / 2)]) for codes in seen]
     return min(codes.codes[0] for codes in seen) >= 0 and min(usual) > max(LEAST_OFFSET, max(usual) / 2)
 
@@ -653,7 +677,7 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
 
 
 def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
-    """Yield accelerometers whose direction of gravity at rest differs from that of the first one."""
+    """Yield accelerometers whose direction of gravity differs from that of the first one while both are at rest."""
     forces = _names_of(log, "specific_force", windows)
     for name in forces[1:]:
         first, other = windows[forces[0]], windows[name]
@@ -704,7 +728,9 @@ def _names_of(log: Log, quantity: Quantity, windows: Mapping[str, _Windows]) -> 
 
 
 def _dip_in_words(force: _Windows, fields: Sequence[_Windows]) -> str:
-    """Return what the first magnetometer says on the sign of an accelerometer at rest; "" without a steep field."""
+    """Return what the field of the first magnetometer says about the sign of an accelerometer at rest; "" unless the
+    field has the size of the earth's and is steep enough (`LEAST_DIP_DEG`).
+    """
     field = next((each for each in fields if each.width_ns == force.width_ns), None)
     if field is None:
         return ""
@@ -752,7 +778,7 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
 
 
 def radii_of(log: Log) -> dict[str, float]:
-    """Return the length of gravity in all directions by accelerometer, in g, where it was turned enough."""
+    """Return the length of gravity in all directions, in g, of each accelerometer that was turned enough."""
     spheres = {
         sensor.name: fit_sphere(_Windows(sensor, row_timing(sensor)).mean)
         for sensor in log.of("specific_force")
@@ -762,7 +788,9 @@ def radii_of(log: Log) -> dict[str, float]:
 
 
 def turns_of(log: Log) -> float | None:
-    """Return the factor by which a log's first gyroscope agrees with its first accelerometer's rotation, or None."""
+    """Return the factor by which a log's first gyroscope must be multiplied to agree with the rotation of gravity in
+    its first accelerometer; None if it cannot be determined.
+    """
     pair = [next(iter(log.of(quantity)), None) for quantity in INERTIAL]
     if any(sensor is None or len(sensor) < FEWEST_ROWS or not sensor.sensitivity for sensor in pair):
         return None
@@ -812,7 +840,7 @@ def _rotations(force: _Windows, rate: _Windows, late: int = 0, most: int | None 
 
 
 class _Delay(NamedTuple):
-    """The delay of a gyroscope against an accelerometer in s, and the correlations with it and without it."""
+    """The delay in s of a gyroscope against an accelerometer, and their rotations' correlation with and without it."""
 
     delay_s: float
     with_delay: float
@@ -829,7 +857,9 @@ class _Delay(NamedTuple):
 
 
 def _delay(force: _Windows, rate: _Windows) -> _Delay | None:
-    """Return a gyroscope's delay against an accelerometer; None below `LATE_S` or without a better correlation."""
+    """Return the delay of a gyroscope against an accelerometer, if it is at least `LATE_S` and explains their rotations
+    better than none; None otherwise.
+    """
     at_once = _rotations(force, rate, most=_MOST_WINDOWS)
     if at_once is None:
         return None

@@ -96,7 +96,9 @@ class Proposal:
         self.items.append(Item([f"[[{table}]]", self.name_line(stem), *lines]))
 
     def attitude_lines(self, is_comment: bool) -> list[str]:
-        """Return the line of a sensor that adds gravity by the attitude; an empty list without an attitude."""
+        """Return the line of a sensor that adds gravity again by the attitude of its rows, commented out if
+        `is_comment`; an empty list without an attitude.
+        """
         mark = "# " if is_comment else ""
         return [
             f"{mark}attitude_columns = [{', '.join(names)}]   # w, x, y, z: adds 1 g along up again"
@@ -123,7 +125,9 @@ _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 
 def is_time_of_rows(name: str, values: Floats) -> bool:
-    """Return whether a column is an increasing time, by its name or as it increases and is no row number by name."""
+    """Return whether a column has an increasing time for each row: its values increase and its name is that of a time,
+    or they increase in every row and its name is not that of a row number.
+    """
     if not increases(values):
         return False
     return bool(TIME.search(name)) or (bool((np.diff(values) > 0).all()) and not INDEX.fullmatch(name.strip()))
@@ -179,7 +183,9 @@ def time_index(names: Sequence[str], columns: Sequence[Floats], dates: Mapping[i
 
 
 def _own_time(name: str, names: Sequence[str], columns: Sequence[Floats], time: int | None) -> int | None:
-    """Return the time column whose name begins as that of a sensor's column; None if `time` fits as well."""
+    """Return the time column that has the beginning of its name in common with a sensor's column; None if there is no
+    such column, or if the name of the whole table's `time` has as much in common.
+    """
 
     def common(index: int) -> int:
         same = takewhile(lambda pair: pair[0] == pair[1], zip(names[index].lower(), name.lower(), strict=False))
@@ -201,7 +207,7 @@ _OWN_PREFIX = 2
 
 
 def increases(values: Floats) -> bool:
-    """Return whether values (n,) increase like time: 99 % of the steps are positive, because a counter may wrap."""
+    """Return whether values (n,) increase like time: at least 99 % of the steps are positive (a counter may wrap)."""
     finite = values[np.isfinite(values)]
     if len(finite) < _MOSTLY_KNOWN * len(values):
         return False
@@ -220,7 +226,9 @@ def is_clock(values: Floats) -> bool:
 
 
 def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int) -> list[str]:
-    """Return the lines of `[time]` for seconds in column `index` and their fraction in the next, by names; or []."""
+    """Return the lines of `[time]` for whole seconds in the column `index` and their fraction in the next one, by names
+    such as sec and nsec; otherwise an empty list.
+    """
     rest = index + 1
     if rest >= min(len(names), len(columns)):
         return []
@@ -335,7 +343,9 @@ def _counter_lines(name: str, label: str, values: Floats, proposal: Proposal) ->
 
 
 _REGULAR_COUNTER = 0.75
-"""Least share of equal steps of a row counter with missing rows; one shared by several kinds has several steps."""
+"""Least share of equal steps of a counter of rows of which some are missing; a counter that rows of several kinds share
+has steps of several sizes.
+"""
 
 
 def _counts_rows(steps: Floats) -> bool:
@@ -396,7 +406,7 @@ def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
 
 
 _STEPS = (("d", 1e-5), ("s", 0.2), ("ms", 200.0), ("us", 2e5))
-"""Units of time, and the steps from row to row below which they are plausible; larger steps are nanoseconds."""
+"""Units of time, and the steps from row to row below which they are plausible; larger steps are taken for ns."""
 
 
 NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
@@ -493,7 +503,7 @@ UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
 
 
 def is_in_mg(length: float) -> bool:
-    """Return whether the length of gravity in all directions shows whole numbers to be mg, not 1024 counts per g."""
+    """Return whether the length of gravity in all directions shows that numbers are in mg and not 1024 counts per g."""
     return abs(ln(length / 1000)) < abs(ln(length / 1024)) and abs(ln(length / 1000)) < _EXACT
 
 
@@ -502,7 +512,9 @@ _EXACT = 0.012
 
 
 def _signed(values: Floats) -> tuple[Floats, list[str], float]:
-    """Return codes (n, 3) as signed codes, the lines of the map for this, and the largest possible code."""
+    """Return codes (n, 3) as signed codes, the lines of the map for this conversion, and the largest code that is then
+    possible.
+    """
     if values.min() < 0 or values.max() >= _CODES_16:
         return values, [], _CODES_16 / 2
     medians = np.median(values, axis=0)
@@ -588,7 +600,9 @@ def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
 
 
 def _unit_of_codes(rates: Floats) -> tuple[str, float] | None:
-    """Return the only unit in which the step of rates (n, 3) is that of a chip, and its counts per dps, or None."""
+    """Return the unit in which the step of rates (n, 3) is that of a chip in a data sheet, and its counts per dps; None
+    unless this is so in exactly one unit.
+    """
     axes = list(rates[:SAMPLE_ROWS].T)
     step = common_step(axes)
     units = []

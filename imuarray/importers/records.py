@@ -29,7 +29,9 @@ LOOKED_AT_RECORDS = 20_000
 """Number of records from which kinds and columns are inferred."""
 
 MOST_KINDS = 16
-"""Largest number of different values of a field that names kinds of records; with more, it holds remarks or numbers."""
+"""Largest number of different values of a field that distinguishes kinds of records; a field with more values contains
+remarks or numbers.
+"""
 
 MOST_BYTES = 1 << 29
 """Largest JSON document that is read as a whole; lines of objects have no limit."""
@@ -233,7 +235,9 @@ def _flattened(value: Any) -> Iterator[Record]:
 
 
 def _records_of(path: str, value: Any, outer: dict[str, str]) -> Iterator[Record]:
-    """Yield a value's records: an object's numbers and words, and those in its lists; `outer`: those around it."""
+    """Yield the records of a value: an object's own numbers and words, and each element of lists of objects; `outer`
+    are the values of the objects around it.
+    """
     if isinstance(value, list):
         for element in value:
             if isinstance(element, dict | list):

@@ -45,13 +45,17 @@ WIDE_SENSITIVITIES = {
     "angular_rate": (655_360.0, 2_621_440.0, 10_485_760.0),
     "magnetic_field": (16_384.0,),
 }
-"""The same for codes of more than 16 bits: ADXL355, ADXL357 (20), ADIS16470, ADIS16495 (32), MMC5983MA (18)."""
+"""The same for chips with codes of more than 16 bits: Analog Devices' ADXL355 and ADXL357 (20 bits), the ADIS16470 and
+ADIS16495 (32 bits); the MMC5983MA (18 bits).
+"""
 
 NEAR = 3e-4
 """Largest relative difference between a step measured from rounded values and that of the data sheet."""
 
 FULL_SPAN = 1.05 * 32768
-"""Most counts in the range of a 16-bit chip, which may slightly exceed its output; a finer grid is that of digits."""
+"""Largest number of counts in the range of a 16-bit chip; the range may be slightly larger than that of the output. A
+finer grid is that of the digits of a text.
+"""
 
 BEYOND_RANGE = 1.002
 """Ratio of the largest reading to the range of its chip: 32767 / 131 is 250.13 dps in a range of 250 dps."""
@@ -66,7 +70,9 @@ FINE = 1.0
 """Noise (rms) in counts of 16 bits from which on rounding adds less than a tenth to its variance."""
 
 _WIDE_NOISE = 16.0
-"""Least noise in counts after conversion of values with less than a 16-bit count: rounding adds 1/3000 of variance."""
+"""Least noise in counts after conversion of values with a noise of less than a count of 16 bits: rounding then adds a
+3000th to the variance.
+"""
 
 _FEWEST_VALUES = 8
 _OFF_GRID = 0.1
@@ -149,7 +155,9 @@ def _refined(distinct: Floats, step: float) -> float:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Counts per unit and range, both in the log's unit; `is_exact`: values lie on the grid of counts of `bits`."""
+    """Counts per unit and range, both in the log's unit. `is_exact` is true if the values lie on the grid of these
+    counts, which have `bits` bits.
+    """
 
     sensitivity: float
     range: float
@@ -188,7 +196,9 @@ def resolution_of(
 
 
 def bits_of(largest: float, end: float) -> int:
-    """Return the bits of counts with this `largest` value and `end` of range: 16 or as required, to `MOST_BITS`."""
+    """Return the number of bits of counts with this `largest` value and the `end` of their range: 16, or as many as
+    required, but at most `MOST_BITS`.
+    """
     if largest <= INT16[1]:
         return 16
     return min(MOST_BITS, 1 + math.ceil(math.log2(max(largest, end * (1 - _DECIMAL)))))

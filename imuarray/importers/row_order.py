@@ -25,7 +25,7 @@ from imuarray.log.row_timing import EvenRows, even_rows, row_timing
 
 
 def count_out(log: LogWriter, sensor: str) -> list[str]:
-    """Replace the arrival times of a sensor's rows by reading times and store the delays. Returns remarks."""
+    """Replace the arrival times of a sensor's rows by their reading times and store the delays. Returns remarks."""
     timing = row_timing(log[sensor])
     if timing.rows < 3:
         return [f"{sensor}: too few rows to reconstruct reading times; arrival times are kept"]

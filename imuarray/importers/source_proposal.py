@@ -148,7 +148,9 @@ def _first_values(source: RecordingRows, name: str, kind: str) -> Floats:
 
 
 def _words_of_frames(source: RecordingRows, kind: str, listed: Sequence[str]) -> tuple[list[str], str]:
-    """Return the columns of CAN frames in the byte order with the smoother values, and the quantity by their length."""
+    """Return the columns of frames of a CAN bus in the byte order that gives the smoother values, and the quantity
+    inferred from their length.
+    """
     numbers = {}
     for order in WORD_ORDERS:
         names = [name for name in listed if name.startswith(order)][:3]
@@ -223,7 +225,9 @@ def _propose_table(text: _Text) -> Proposal:
 
 
 def _dates_of_rows(rows: Sequence[Sequence[str]], names: Sequence[str], columns: Sequence[Floats]) -> dict[int, str]:
-    """Return the columns of dates with units; none if dates are those of packets and another column times the rows."""
+    """Return the columns of dates and the unit of each; empty if the dates are those of packets and another column has
+    the time of each row.
+    """
     dates = dates_of(rows)
     different = len({row[min(dates)] for row in rows}) if dates else 0
     if not dates or different == len(rows):
@@ -241,7 +245,9 @@ _FEW_DATES = 0.5
 
 
 class _FolderFile(NamedTuple):
-    """A text of a folder: name without suffix, path, column names, proposal, and times of its first rows, if known."""
+    """A text of a folder: its name without suffix, its path, the names of its columns, its proposal, and the times of
+    its first rows (empty if they are not known).
+    """
 
     name: str
     path: Path
@@ -280,7 +286,9 @@ def _propose_folder(folder: Path, join_parts: bool) -> Proposal:
 
 
 def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFile]:
-    """Yield the texts of a folder with sensors in the layout of the first one; add a doubt for each other file."""
+    """Yield the texts of a folder from which sensors can be proposed, all with the layout of the first one; add a doubt
+    for each other file.
+    """
     layout_lines: list[str] | None = None
     is_named = sum(bool(quantity_of(name)) for name in texts_in(folder)) > 1
     for name, path in texts_in(folder).items():
@@ -310,7 +318,7 @@ def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFil
 
 
 def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile]]:
-    """Yield groups of files of equal columns that begin one after the other: they may be parts of one recording."""
+    """Yield groups of files of equal columns, in the order in which they begin: they may be parts of one recording."""
     by_columns: dict[tuple[str, ...], list[_FolderFile]] = {}
     for file in files:
         if len(file.times):
@@ -324,7 +332,9 @@ def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile
 
 
 _LATER = 0.1
-"""Difference of first times, as a share of a file's duration, above which files are parts of one recording."""
+"""Difference between the first times of two files, as a share of the duration of the first file, above which they are
+parts and not files of different sensors of one recorder.
+"""
 
 
 def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
@@ -356,7 +366,9 @@ sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 
 
 
 def _full_labels(kind: str) -> list[str]:
-    """Return labels completed with shared words and units: "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", ..."""
+    """Return the labels of a row, completed with the words and the unit that several labels share but programs write
+    once: "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", "Y", "Z [rad/s]".
+    """
     names: list[str] = []
     stem, first = "", 0
     for label in kind.split(","):

@@ -112,7 +112,9 @@ class FolderRows:
         return {name: file.names()[""] for name, file in self._files.items()}
 
     def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Blocks:
-        """Yield the rows of file `kind` and of its later parts; SourceError without it, or if overlaps differ."""
+        """Yield the rows of the file that `kind` names, and of the parts that follow it; SourceError without this file,
+        or if parts overlap with different rows.
+        """
         names = [kind or "", *self._parts.get(kind or "", ())]
         for name in names:
             if name not in self._files:
@@ -142,7 +144,9 @@ class FolderRows:
         return None
 
     def _without(self, repeated: list[Row], block: CellBlock, where: Sequence[int], name: str) -> CellBlock:
-        """Return a block without rows `repeated` from the file before, and remove these; SourceError if one differs."""
+        """Return the rows of a block that are not `repeated` from the file before, and remove these from the list;
+        SourceError if a row differs from its counterpart.
+        """
         count = min(len(repeated), len(block.lines))
         for place in range(count):
             row = tuple(str(block.columns[at][place]) for at in where)
@@ -167,7 +171,7 @@ def texts_in(folder: Path) -> dict[str, Path]:
 
 
 def stem_of(path: Path) -> str:
-    """Return the name of a text without its suffix; other dots in it, for example in times, are kept."""
+    """Return the name of a text without its suffix; other dots in it are kept, for example those in times."""
     name = path.name.lower()
     suffix = next((suffix for suffix in sorted(_TEXTS, key=len, reverse=True) if name.endswith(suffix)), path.suffix)
     return path.name[: len(path.name) - len(suffix)] if suffix else path.name
@@ -178,7 +182,9 @@ MOST_UNPACKED = 1 << 34
 
 
 def zipped_texts(path: Path) -> list[zipfile.ZipInfo]:
-    """Return the texts in a zip file in its uppermost folder with texts; [] for other files and for arrays of NumPy."""
+    """Return the texts in a zip file: those in the uppermost folder with texts; [] if the file is not a zip file or
+    contains arrays of NumPy.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             members = [member for member in archive.infolist() if not member.is_dir()]

@@ -272,7 +272,9 @@ def _barometer_header(item: BarometerTable) -> SensorHeader:
 
 
 def _missing(cells: Sequence[CellColumn]) -> Booleans:
-    """Return (n,) rows with an empty or torn cell of a sensor: a triad with two axes is not a reading."""
+    """Return (n,) rows in which at least one cell of a sensor has no value, or the text of a damaged line: a triad with
+    two axes is not a reading.
+    """
     return np.asarray(np.any([cell.blank() | cell.torn() for cell in cells], axis=0), bool)
 
 
@@ -320,7 +322,9 @@ def _dated(time: CellColumn, date: CellColumn) -> CellColumn:
 
 
 _UNIT_LENGTH = 0.05
-"""Largest deviation of a quaternion's length from 1; others, such as zeros before an estimate, are no attitudes."""
+"""Largest deviation of the length of a quaternion from 1; other values, for example zeros before a program has an
+estimate, are not attitudes.
+"""
 
 
 def _up_in_sensor(quaternion: Floats) -> Floats:
@@ -401,7 +405,7 @@ class _Stream:
         return self._order.in_order(blocks) if self._order is not None else blocks
 
     def _stamps(self, block: CellBlock, places: Sequence[int]) -> Times:
-        """Return the time of each row; a row without time, or of zeros (padding), has that of the row before."""
+        """Return the time of each row; a row without time, or of zeros (padding), has the time of the row before."""
         cell = block.column(places[0], repr(self.plan.time_column))
         timed = ~(cell.blank() | _zeros(cell))
         stamps = np.concatenate([self._last_stamp, self._clock.stamps(cell.where(timed))])
@@ -436,7 +440,9 @@ class _Stream:
                 self._add_reference(item, cells, time)
 
     def _without_padding(self, cells: dict[Reference, CellColumn]) -> dict[Reference, CellColumn]:
-        """Remove trailing rows of zeros, which a program reserved, and rows without time or a reading."""
+        """Remove trailing rows of zeros, including time, which a program reserved and did not fill; and rows without
+        time, in which no sensor has a reading.
+        """
         column = self.plan.time_column
         if column is None:
             return cells
@@ -500,7 +506,9 @@ class _Stream:
         self.rows_of[sensor.name] += len(triads)
 
     def _lost_before(self, name: str, incomplete: Booleans, complete: Booleans) -> npt.NDArray[np.uint16]:
-        """Flags (k,) of the `complete` rows (n,): lost before, after `incomplete` ones (n,) or in an earlier block."""
+        """Return the flags (k,) of the `complete` rows (n,): a row is flagged as lost before if `incomplete` rows (n,)
+        precede it, also those of an earlier block.
+        """
         losses = self._incomplete[name] + np.cumsum(incomplete)
         lost = np.diff(losses[complete], prepend=self._flagged_losses[name]) > 0
         self._incomplete[name] = int(losses[-1])

@@ -173,7 +173,9 @@ def _header(
 
 
 def _padded(rows: list[_Row]) -> list[_Row]:
-    """Return rows of several widths below a header as wide as the widest, extended to its width."""
+    """Return rows of several widths, below a header as wide as the widest row, extended to the width of the header:
+    readings of several kinds have different numbers of values.
+    """
     width = len(rows[0][1])
     widths = [len(row) for _, row in rows[1:]]
     plain = TextLayout()
@@ -186,7 +188,9 @@ def _padded(rows: list[_Row]) -> list[_Row]:
 
 
 def _first_of_table(rows: Sequence[_Row], numeric: Sequence[bool], layout: TextLayout) -> int | None:
-    """Return the first row of numbers below a preamble; None if widths vary or rows begin with words, as of kinds."""
+    """Return the first row of a table of numbers below a preamble of other widths; None if the rows below are of
+    several widths or begin with words, so that they may be of several kinds.
+    """
     tail = [row for _, row in rows[len(rows) // 2 :]]
     widths = [len(row) for row in tail]
     usual = max(set(widths), key=widths.count)
@@ -328,7 +332,9 @@ _CLOCK = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d\.\d+")
 
 
 def _is_clock(cells: Sequence[str]) -> bool:
-    """Return whether numbers are times of day: all have such digits, and step by 40 more after second 59."""
+    """Return whether numbers are times of day (hhmmss): all have the digits of one, and after second 59 they step by 40
+    more than the interval, which numbers of seconds do not.
+    """
     if not all(map(_CLOCK.fullmatch, cells)):
         return False
     values = np.array([float(cell) for cell in cells])

@@ -36,10 +36,12 @@ def is_computed_gravity(columns: Sequence[Floats], indices: TriadIndices) -> boo
 _MOST_LABELS = 64
 _KNOWN_SHARE = 0.5
 _UNIT_LENGTH = 2e-3
-"""Largest relative scatter of the length of a quaternion, or of gravity from a filter; a sensor's is larger."""
+"""Largest relative scatter of the length of a quaternion, or of gravity from a filter; that of any sensor's readings is
+larger.
+"""
 
 _FOLLOWS_GRAVITY = 0.35
-"""Least correlation of the change of gravity with that computed from a rate that identifies a gyroscope."""
+"""Least correlation of the changes of gravity with those computed from a rate at which it is a gyroscope's."""
 
 _SMOOTHED_ROWS = 5
 
