@@ -25,7 +25,9 @@ CACHED_BYTES = 1 << 26
 """Largest number of bytes of a log's rows that stay in memory: an hour of nine triads at 100 Hz has 57 MB."""
 
 RECENT_BYTES = 1 << 24
-"""Most bytes in memory of a longer log, whose rows can't be kept: a block of each column of twelve sensors."""
+"""Largest number of bytes in memory of a longer log, whose rows can't be kept from one pass to the next: a block of
+each column of twelve sensors.
+"""
 
 TRACK_BYTES = 1 << 23
 """Largest number of bytes of the tracks, which few analyses read more than once: two blocks of each column."""
@@ -52,13 +54,15 @@ class RowCache:
         self._lock = Lock()
 
     def use(self, size_bytes: int) -> None:
-        """Keep rows from now on; of a log beyond the limit, only `RECENT_BYTES`."""
+        """Keep rows from now on. If the log has more bytes than the limit, keep only `RECENT_BYTES`, because a pass
+        over all rows would not find any row of the previous pass.
+        """
         self.used = True
         if size_bytes > self._limit_bytes:
             self._limit_bytes = min(self._limit_bytes, RECENT_BYTES)
 
     def rows(self, column: h5py.Dataset, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """Return a copy of the rows from `start` to `stop` (`start` < `stop`) of a column; errors of HDF5."""
+        """Return a copy of the rows from `start` to `stop` (`start` < `stop`) of a column; it raises HDF5's errors."""
         first = range(start - start % _BLOCK_ROWS, stop, _BLOCK_ROWS)
         parts = [
             self._block(column, name, block_start)[max(start - block_start, 0) : stop - block_start]
@@ -101,7 +105,9 @@ class NamedColumn:
         cache: RowCache | None = None,
         dtype: np.dtype[Any] | None = None,
     ) -> None:
-        """`cache` keeps rows of a dataset that does not change. Rows are returned as `dtype` (None: as stored)."""
+        """`cache` keeps rows that are read; only for a dataset that does not change. Rows are returned as `dtype`
+        (None: as they are stored).
+        """
         self._column, self._place, self._cache = column, place, cache
         self._dtype: np.dtype[Any] = column.dtype if dtype is None else dtype
 
@@ -173,7 +179,9 @@ class NamedColumn:
 
 
 class Column:
-    """A column with its first rows in a file and the last in memory; it is sliced like an HDF5 dataset."""
+    """A column whose first rows are stored in a file and whose last rows are in memory; it is sliced like an HDF5
+    dataset and has the same shape.
+    """
 
     chunks = None
 
@@ -184,7 +192,7 @@ class Column:
         rows: int = 0,
         stored: Callable[[int, int], npt.NDArray[Any]] | None = None,
     ) -> None:
-        """`stored` returns the rows between two of the `rows` in the file; OSError if unreadable."""
+        """`stored` returns the rows between two row numbers of the `rows` in the file; OSError if unreadable."""
         self.name, self._rows, self._tail, self._stored = name, rows, tail, stored
         self.dtype: np.dtype[Any] = tail.dtype
         self.shape: tuple[int, ...] = (rows + len(tail), *tail.shape[1:])
@@ -267,7 +275,9 @@ class ClockTrack(NamedTuple):
 
 
 def track_of(group: Any, place: str, cache: RowCache | None = None) -> Track:
-    """Return the track in a group of the file, whose rows `cache` keeps; LogError with its `place` if there is none."""
+    """Return the track that a group of the file contains, whose rows `cache` keeps; LogError, which names its `place`,
+    if it contains none.
+    """
     if not isinstance(group, GROUP) or "time" not in group:
         raise LogError(f"{place} has no time")
     columns = [group.get(column) for column in Track._fields]
@@ -278,7 +288,7 @@ def track_of(group: Any, place: str, cache: RowCache | None = None) -> Track:
 
 
 def clocks_of(group: Any, place: str) -> ClockTrack:
-    """Return the clock rows in a group of the file; LogError with its `place` if there are none."""
+    """Return the clock rows that a group of the file contains; LogError, which names its `place`, if there are none."""
     columns = [group.get(column) for column, _, _ in CLOCKS]
     if any(not isinstance(column, DATASET) or column.dtype.kind != "i" for column in columns) or (
         len({column.shape for column in columns}) != 1
@@ -298,5 +308,5 @@ def _columns_named(columns: Sequence[Any], place: str, cache: RowCache | None = 
 def named_column(
     column: h5py.Dataset | Column, place: str, cache: RowCache | None, dtype: np.dtype[Any] | None = None
 ) -> NamedColumn:
-    """Return a column, read as `dtype`; `cache` keeps its rows, but not those of a growing log."""
+    """Return a column, read as `dtype`, whose rows `cache` keeps unless they may change, as those of a growing log."""
     return NamedColumn(column, place, cache if isinstance(column, h5py.Dataset) else None, dtype)

@@ -31,7 +31,9 @@ COMMITS = "commits"
 _FIXED = 3
 _LONGEST_COMMIT = 1 << 30
 _TRIES, _PAUSE_S = 3, 0.01
-"""Attempts to read rows, and the pause between them in s: the writer may be changing the page with their position."""
+"""Number of attempts to read rows, and the pause between them in s: the writer may be changing the page of the file
+that holds their position.
+"""
 _KEPT_REPLACEMENTS = 4
 """Number of commits whose rows from the journal stay in memory."""
 
@@ -216,7 +218,9 @@ class CommittedRows:
         return block_crc(self._groups, stretches)
 
     def _replaced(self, segment: Segment) -> list[Columns] | None:
-        """Return a commit's rows from the journal, by group; None if it lacks some, unless `check` accepted this."""
+        """Return the rows of a commit from the journal, by group; None if the journal lacks some of them, unless
+        `check` has accepted the loss.
+        """
         if segment.number in self._rest:
             return self._rest[segment.number]
         if self._journal is None:

@@ -42,7 +42,9 @@ def free_bytes(path: Path) -> int:
 
 
 def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
-    """Return the error for `path` by one of the system or HDF5: DiskFullError (`kept`: what remains), or LogError."""
+    """Return the error for `path` that fits an error of the system or of HDF5: DiskFullError if there is no space
+    (`kept` says what remains), else LogError.
+    """
     number = errno_of(error)
     if number in NO_ROOM:
         return DiskFullError(path, _NO_SPACE.get(number, "no space left on the disk"), *kept)
@@ -59,7 +61,7 @@ def write_errors(path: Path, *kept: str) -> Iterator[None]:
 
 
 def longest_file() -> int | None:
-    """Return the limit on the length of this process's files in bytes (RLIMIT_FSIZE); None if there is none."""
+    """Return the limit on the length of a file that this process may write, in bytes (RLIMIT_FSIZE), or None."""
     if sys.platform == "win32":
         return None
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]

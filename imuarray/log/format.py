@@ -32,10 +32,12 @@ PLOTS = "plots"
 """The group of a finished log that NeXus viewers open by default."""
 
 CACHE_BYTES = 1 << 20
-"""Bytes of the chunk cache of each written column; HDF5's default, 8 MB, is 400 MB for fifty columns."""
+"""Bytes of the chunk cache of each column that is written; HDF5 2.0's default, 8 MB, is 400 MB for fifty columns."""
 
 READ_CACHE_BYTES = 1 << 18
-"""Bytes of the chunk cache of each column that is read: two chunks of any, since rows are read in order."""
+"""Bytes of the chunk cache of each column that is read: at least two chunks of any column. Rows are read in order, so a
+larger cache would be filled without being used.
+"""
 
 STALE = 1
 """The same reading as the previous one: the chip had no newer one."""
@@ -66,7 +68,9 @@ THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
 """Attributes of a sensor whose log states the scale of its `temperature_counts`; both or none."""
 
 ADJUSTMENT_ATTRIBUTES = ("asa_x", "asa_y", "asa_z")
-"""Attributes of a magnetometer adjusted at the factory: counts / `sensitivity` * (ASA + 128) / 256 (AKM-16)."""
+"""Attributes of a magnetometer with a factory adjustment of its sensitivity: the field along each axis is counts /
+`sensitivity` times (ASA + 128) / 256 (AKM-16).
+"""
 
 ARRIVAL = "arrival_delay"
 """Column (n,) of a sensor whose rows arrived in bursts and whose `time` was computed from their number: the delay in s
@@ -77,7 +81,9 @@ TIME_UNCERTAINTY = "time_uncertainty"
 """Column (n,) of a sensor whose queue was drained: the largest possible error of `time` in s."""
 
 SYNC_PULSE = "sync_pulse"
-"""Column (n,) of a sensor with pulse input: s from the pulse to the first sample after it, elsewhere nan."""
+"""Column (n,) of a sensor with an input for synchronisation pulses: the time in s from the pulse to the sample that it
+marks, the first after it; nan in all other rows.
+"""
 
 SYNC_PULSE_ERROR = "sync_pulse_error"
 """Attribute of a sensor with the column `SYNC_PULSE`: the largest error of the times in it, in s."""

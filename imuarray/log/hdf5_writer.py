@@ -64,7 +64,9 @@ PLAIN: Mapping[str, Any] = {}
 """Storage of the columns of a log while it is written: not compressed, without checksums."""
 
 LIBVER = "v110"
-"""The earliest format with SWMR; "latest" depends on the HDF5, and MATLAB cannot read that of HDF5 2.0."""
+"""The earliest file format with single writer and multiple readers (SWMR). "latest" would depend on the installed HDF5,
+and MATLAB, for example, cannot read that of HDF5 2.0.
+"""
 
 _STRING = h5py.string_dtype("utf-8")
 _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
@@ -122,7 +124,9 @@ def _is_locked(path: Path) -> bool:
 
 
 class Draft:
-    """A log in preparation: rows of groups are written in whole chunks; `close` completes it, `publish` names it."""
+    """A log in preparation: rows are added by group and written in whole chunks; `close` makes it a complete log, which
+    `publish` gives its name.
+    """
 
     def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK, *, durable: bool = False) -> None:
         """Begin; LogError if the file cannot be written, ValueError for impossible headers.
@@ -463,7 +467,7 @@ def write_plots(file: h5py.File, names: Sequence[str]) -> None:
 def write_table(
     file: h5py.File, name: str, fields: Sequence[str], rows: Sequence[Any], renamed: Mapping[str, str]
 ) -> None:
-    """Write a group of equally long columns from named tuples; whole numbers are int64, all else is text."""
+    """Write a group of equally long columns from named tuples; whole numbers are stored as int64, all else as text."""
     group = file.create_group(name)
     for index, key in enumerate(fields):
         values = [row[index] for row in rows]
@@ -487,7 +491,7 @@ PARTS = ("attributes", *_TABLES)
 
 
 def check_sums(file: Any) -> list[int]:
-    """Return the CRC-32 of attributes, phases and events of an open HDF5 file; on damage errors of h5py."""
+    """Return the CRC-32 of the attributes, phases and events of an open HDF5 file; damage raises h5py's own errors."""
     crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
     sensors, attributes = file["sensors"], [_attributes(file, _LOG)]
     for name in sorted(sensors):

@@ -20,7 +20,9 @@ HARMLESS = frozenset(
 """Kinds of events that report no fault, or the end of one."""
 
 _ENDS = re.compile(r"works again|in all \d|the adapter is back|answers again|set up again")
-"""Beginning of the message of an event that ends a fault (`imuarray.acquire.fault_episode`) of the same kind."""
+"""Beginning of the message of an event that ends a fault (`imuarray.acquire.fault_episode`); its kind is that of the
+event with which the fault began.
+"""
 
 MANY_MISSED = 0.05
 """Share of missed frames above which a recording does not meet its frame rate."""

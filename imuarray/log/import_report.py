@@ -34,7 +34,9 @@ class ImportReport(NamedTuple):
     doubts: tuple[str, ...] = ()
 
     def to_json(self) -> str:
-        """Return the report as a JSON object; its last sentences are omitted where it would be too long."""
+        """Return the report as a JSON object; if it would be too long, its last sentences are omitted: facts first,
+        then remarks, quirks and doubts.
+        """
         lists = {name: list(sentences) for name, sentences in self._asdict().items()}
         while len(text := json.dumps(lists, ensure_ascii=False).encode("utf-8", "replace")) > _MOST_BYTES:
             longest = next((name for name in _LISTS if lists[name]), None)

@@ -44,7 +44,9 @@ _SIGN = b"GCOL"
 _HEAD = 16
 """Bytes before the first object of a heap, and before the data of an object (HDF5 file format, III.E)."""
 LONGEST = 1 << 24
-"""Largest size of a heap in bytes: it holds texts up to 4 KiB, or a longer one, such as a configuration."""
+"""Largest size of a heap in bytes. A heap holds the texts that fit into 4 KiB, or one longer text; the longest one is a
+configuration.
+"""
 
 
 class HeapCheckedFile(io.RawIOBase):
@@ -140,7 +142,7 @@ def _is_version_3(head: bytes) -> bool:
 
 
 class UnclosedFile(HeapCheckedFile):
-    """The bytes of a file, with its superblock's flags cleared and its actual end, for h5py's file driver."""
+    """The bytes of a file, with the flags of its superblock cleared and its actual end, for h5py's "fileobj" driver."""
 
     def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
         """`check_heaps` as of `HeapCheckedFile`."""
@@ -347,7 +349,9 @@ def _names_in_group(group: _OpenObject, where: str) -> list[bytes]:
 
 
 def _is_plot(group: _OpenObject, name: bytes) -> bool:
-    """Return whether a soft link is one of `/plots`, to the column of its name in the sensor of its group."""
+    """Return whether a soft link is one of `/plots`: to the column of the same name, of the sensor with the name of its
+    group. It is not followed; the column is inspected at its own place.
+    """
     _, *path = group.path.split(b"/")
     target: bytes = group.item.links.get_val(name)
     return len(path) == 2 and path[0] == PLOTS.encode() and target == b"/sensors/" + path[1] + b"/" + name

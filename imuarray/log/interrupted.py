@@ -229,7 +229,9 @@ def _view(
     failure: str,
     thorough: bool,
 ) -> LiveView | None:
-    """Combine the undamaged part of the file and the journal (or its `failure`); None if the file is unusable."""
+    """Combine the undamaged part of the file and the journal; without a journal, `failure` is the reason. None if the
+    file is unusable.
+    """
     preamble = own_preamble if journal is None else journal.preamble
     try:
         with h5py.File(UnclosedFile(path), "r") as inspected:

@@ -225,7 +225,9 @@ class JournalLock:
     """The journal of one log, open and locked: no other process writes or recovers that log meanwhile."""
 
     def __init__(self, path: Path, *, create: bool) -> None:
-        """Lock the journal. LogBusyError if another process has it; FileNotFoundError if it must exist."""
+        """Lock the journal. LogBusyError if another process has locked it; FileNotFoundError if it does not exist and
+        must not be created.
+        """
         self.path = journal_of(path)
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         while True:
@@ -272,7 +274,7 @@ class JournalLock:
 
 
 class JournalWriter:
-    """Appends blocks to a locked journal. `mark` is the position after the last written block."""
+    """Appends blocks to a locked journal. `mark` is the position after the last block; all before it is written."""
 
     def __init__(self, fd: int, preamble: Preamble) -> None:
         """Start the journal with an empty file."""
@@ -400,7 +402,9 @@ class JournalReader:
         return np.frombuffer(record.payload, "<i8", rows)
 
     def _resume_after(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
-        """Return where blocks resume after a bad one at `end`, and the block if restored, or None; note `damage`."""
+        """Return where good blocks resume after a bad one at `end`, and the bad block if it could be restored; None if
+        no good block follows. Lost data are recorded in `damage`.
+        """
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:
             return None

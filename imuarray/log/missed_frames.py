@@ -35,7 +35,7 @@ MISSED = re.compile(r"(in all )?(\d+) frames? missed")
 """The message of an event of the kind "late": the frames missed when a delay began, or in the whole delay."""
 
 BUS_WAS_LATE = "the bus did not answer in time"
-"""The reason in the message of this event if a transaction timed out before; otherwise the machine was late."""
+"""The reason in this event's message if a transaction timed out in the previous frame; else the machine was late."""
 
 
 class FrameTiming(NamedTuple):
@@ -56,7 +56,9 @@ def duration_s(frames: int, missed: int, rate_hz: float) -> float:
 
 
 def missed_by_events(events: Iterable[Event]) -> int | None:
-    """Return the number of missed frames according to the events; None if they total an earlier log's fault."""
+    """Return the number of missed frames according to the events, in the order in which they were recorded; None if
+    they include a total of a fault that began in the previous log.
+    """
     missed, first = 0, None
     for event in events:
         match = MISSED.match(event.message) if event.kind == "late" and not event.sensor else None
@@ -80,7 +82,9 @@ def frame_period_ns(source: str, frame_rate_hz: float) -> int:
 
 
 def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: int) -> bool:
-    """Return whether `rate_hz` rows per second of a chip with `chip_rate_hz` (0: unknown) are one in every frame."""
+    """Return whether a sensor with `rate_hz` rows per second, of a chip with `chip_rate_hz` values per second (0: not
+    known), yields one row in every frame.
+    """
     if frame_period_ns <= 0:
         return False
     frame_rate_hz = 1e9 / frame_period_ns

@@ -115,7 +115,7 @@ class Log:
 
     @property
     def state(self) -> str:
-        """The state "finished", "being written" or "interrupted"; acknowledged rows can be read in any."""
+        """The state "finished", "being written" or "interrupted"; acknowledged rows of unfinished logs can be read."""
         if self.preamble is None:
             return "finished"
         return "being written" if is_running(self.path) else "interrupted"
@@ -254,7 +254,9 @@ class Log:
 
     @property
     def motion_track(self) -> Track | None:
-        """The track of the box's motion: the truth, else the reference; None if it has neither a force nor a rate."""
+        """The track that describes the motion of the box: the truth, else the reference; None if it has neither a force
+        nor a rate, for example a reference of the temperature alone.
+        """
         tracks = (track for track in (self.truth, self.reference) if track is not None)
         moving = (track for track in tracks if (track.specific_force, track.angular_rate) != (None, None))
         return next(moving, None)
@@ -303,7 +305,9 @@ class Log:
         return {name: sensor.to_pandas(calibration, phase=phase) for name, sensor in self.sensors.items()}
 
     def plot(self, sensors: Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
-        """Return a figure with a panel per sensor (`sensors`: only these), in SI, box frame. MissingExtraError."""
+        """Return the recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.
+        MissingExtraError without matplotlib (extra "report").
+        """
         from imuarray.log.datasets import log_figure
 
         return log_figure([self[name] for name in sensors or self.sensors], calibration)
@@ -344,7 +348,9 @@ class Log:
 
 
 def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File | LiveView, list[str]]:
-    """Open the file, or a view of an unfinished log; also return the paths of what is damaged in a finished log."""
+    """Open the file, or the view of a log that is being written or was never finished; also return the paths of what is
+    damaged in a finished log.
+    """
     if journal_fd is not None or may_be_unfinished(path):
         unfinished = open_interrupted(path, thorough=thorough, journal_fd=journal_fd)
         if unfinished is not None:
@@ -381,7 +387,9 @@ def open_log(path: str | PathLike[str]) -> Log:
 
 
 def require_logs(logs: Any, call: str, *, or_paths: bool = False) -> None:
-    """Raise LogError unless `logs` is a list or tuple of open logs (`or_paths`); `call` is for the message."""
+    """Raise LogError if `logs` is not a list or tuple of at least one open log (with `or_paths`, of open logs or
+    paths); the message names the `call`, such as `calibrate_tumble(*logs)`.
+    """
     if not isinstance(logs, Sequence) or isinstance(logs, str):
         raise LogError(f"{call}: {type(logs).__name__} given; allowed is a list of logs")
     if not logs:
@@ -422,7 +430,9 @@ _ROWS = 1 << 16
 
 
 class LogVerification(NamedTuple):
-    """The result of a verification: `problems` are unreadable or inconsistent rows, `remarks` corrected defects."""
+    """The result of a verification: `problems` are rows that can't be read or are inconsistent, `remarks` are defects
+    that reading corrects.
+    """
 
     state: str
     rows: Mapping[str, int]

@@ -113,7 +113,9 @@ class RotatingWriter:
         return start_ns if number else min(start_ns, 0), start_ns + self._every_ns
 
     def _prepare_next(self, time_ns: int) -> None:
-        """Create the part after this time, if it is needed soon; with `force`, only once it is needed."""
+        """Create the part after this time, if it will be needed soon. A part that would replace an older log (`force`)
+        is created only when it is needed, since that may never happen.
+        """
         number = max(self.part_at(time_ns), self._first) + 1
         lead_ns = min(_LEAD_NS, self._every_ns)
         is_open = number in self._open or number in self._ahead
@@ -180,7 +182,7 @@ class RotatingWriter:
             part.begins(phase._replace(start_ns=max(phase.start_ns, start_ns)))
 
     def _turn(self) -> None:
-        """Finish the first part if every sensor has rows in the next, or a third part has begun."""
+        """Finish the first part if every sensor has rows in the next one, or if a third has begun (one was silent)."""
         while len(self._open) > 1 and (
             len(self._open) > 2 or min(self._last_ns.values()) >= self._span_ns(self._first)[1]
         ):

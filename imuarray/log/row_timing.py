@@ -26,7 +26,7 @@ GAP = 3.0
 """Least length of a gap, in usual intervals (the median): an interval with one lost row or one late poll is shorter."""
 
 LEAST_SHARE = 0.05
-"""Least share of the time in gaps for a timing that is not steady; less is the usual jitter of a host."""
+"""Least share of the time in gaps for a timing that is not steady; less is due to the usual jitter of a host."""
 
 LEAST_GAPS = 8
 """Least number of gaps that can show a pattern."""
@@ -37,12 +37,16 @@ FOLLOWS = 0.5
 """
 
 REGULAR = 0.05
-"""Scatter of gap lengths, as a share of the median, below which the correlation means nothing (see `HURRY`)."""
+"""Scatter of gap lengths, as a share of their median, below which their correlation with the number of rows after them
+has no meaning: rows are then a burst only if they arrive `HURRY` times as fast as on average.
+"""
 
 HURRY = 10.0
 
 LEAST_HURRY = 1.5
-"""Least rate of rows in bursts, relative to the average, or after a gap to the usual rate; slower fill no gap."""
+"""Least rate of the rows of bursts, relative to the average rate, or after a gap to the usual rate; slower rows do not
+make up for a gap.
+"""
 
 LOST_SHARE = 0.5
 """Share of gaps with rows flagged as lost above which rows after gaps are not a burst."""
@@ -51,7 +55,7 @@ SAME = 0.8
 """Least share of gaps with the same number of rows between them for stalls to have a period."""
 
 IRREGULAR = 0.1
-"""Share of gaps, without a period, from which on intervals are called irregular and not stalls."""
+"""Share of gaps in the intervals, without a period, from which on intervals are called irregular and not stalls."""
 
 _STAMPED_TOGETHER = 100.0
 """Usual rate of rows, relative to the average rate, from which on rows are stamped together: a gap is then an interval
@@ -141,7 +145,9 @@ def row_timing(sensor: SensorLog) -> RowTiming:
 
 
 def _intervals_ns(sensor: SensorLog) -> Integers:
-    """Return intervals (k,) between rows: all, or those of stretches throughout a long recording."""
+    """Return the intervals (k,) between rows: all of a short recording; of a long one those of stretches throughout it,
+    because its beginning may have another rate than the rest.
+    """
     rows = len(sensor)
     if rows <= _STRETCHES * _STRETCH_ROWS:
         return _intervals_of(sensor, 0, rows)

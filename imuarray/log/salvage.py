@@ -110,7 +110,9 @@ class Salvage:
         return int(rows * self._row_bytes[group])
 
     def resume(self, bad: Mark) -> tuple[Mark, Record | None] | None:
-        """Return where good blocks resume after that at `bad`, and that one if restored; None beyond the budget."""
+        """Return where good blocks resume after the bad one at `bad`, and the bad one if it could be restored; None if
+        they do not resume within the budget.
+        """
         chains = self._chains(bad)
         for head_position in self._heads(bad.position):
             if self.is_spent:
@@ -139,7 +141,9 @@ class Salvage:
         return Record(*block, Mark(end, stored))
 
     def _gap(self, bad: Mark, after: Mark) -> Record | None:
-        """Return the bad bytes as one block, if its own checksum under another head, or the next block, proves it."""
+        """Return the bad bytes as one block, if its payload can be proved good: by its own checksum under another head,
+        or by the next block, which continues from `after`.
+        """
         position, chain = bad
         head = self._read_bytes(OVERHEAD, position)
         size = self._declared(head)
@@ -195,7 +199,9 @@ class Salvage:
             length = next(windows, length)
 
     def is_torn(self, position: int) -> bool:
-        """Return whether the bytes from `position` on are those of a power cut: a block's beginning, and zeros."""
+        """Return whether the bytes from `position` to the end are the result of a crash or a power cut: the first bytes
+        of a block, and zeros of pages that never reached the disk.
+        """
         length = self._end - position
         size = self._declared(self._read_bytes(OVERHEAD, position))
         if length < OVERHEAD or (size is not None and OVERHEAD + size > length):

@@ -153,7 +153,7 @@ class SensorLog(CountScale):
         return numbers
 
     def _orientation(self) -> Floats:
-        """Return the stored matrix if there is one (a fused or foreign log may have it), else that of `axes`."""
+        """Return the stored matrix if there is one (a fused or foreign log may have a finer one), or that of `axes`."""
         try:
             named = np.array(orientation_of(self.axes))
         except ValueError as error:
@@ -236,26 +236,34 @@ class SensorLog(CountScale):
         return self._column("status") if self._has("status") else np.zeros(len(self), np.uint16)
 
     def compensated(self, name: str) -> NamedColumn:
-        """Return a column in physical units by the chip's calibration ("temperature" degC, "pressure" Pa); LogError."""
+        """Return a column in physical units computed with the chip's own calibration ("temperature" degC, "pressure"
+        Pa); LogError if the log does not have the column.
+        """
         if not self.has_compensated(name):
             raise LogError(f"{self.where}: column {name} is missing")
         return self._column(name)
 
     @property
     def time_uncertainty(self) -> NamedColumn | None:
-        """The largest error (n,) of each row's time in s, for a sensor with a queue; None if the log states none."""
+        """The largest possible error (n,) of the time of each row in s, for sensors whose queue was drained; None if
+        the log does not state it.
+        """
         return self._column(TIME_UNCERTAINTY) if self.has_compensated(TIME_UNCERTAINTY) else None
 
     @property
     def sync_pulse(self) -> NamedColumn | None:
-        """The time (n,) in s from a synchronisation pulse to the first row after it, else nan; None without pulses."""
+        """The time (n,) in s from a synchronisation pulse to the row that it marks, the first after it; nan in all
+        other rows. None for a sensor without pulses.
+        """
         return self._column(SYNC_PULSE) if self.has_compensated(SYNC_PULSE) else None
 
     def _has(self, name: str) -> bool:
         return name in self._columns or self._group.get(name) is not None
 
     def _column(self, name: str) -> NamedColumn:
-        """Return a column by its name. It is looked up once: that takes as long as some thousand rows."""
+        """Return a column by its name. It is looked up once, because HDF5 takes as long for it as for reading some
+        thousand rows.
+        """
         if name not in self._columns:
             self._columns[name] = named_column(self._group[name], f"{self.where}: {name}", self._cache)
         return self._columns[name]
@@ -304,7 +312,9 @@ class SensorLog(CountScale):
         return table(self.to_xarray(calibration, phase=phase))
 
     def plot(self, calibration: Calibration | None = None) -> Figure:
-        """Draw values in the box frame over time, or counts of unknown unit; MissingExtraError without "report"."""
+        """Draw the physical values in the box frame over time, or the counts if their unit is unknown;
+        MissingExtraError without matplotlib (extra "report").
+        """
         from imuarray.log.datasets import log_figure
 
         return log_figure([self], calibration)
@@ -378,7 +388,9 @@ def _reopen(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorL
 
 
 def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
-    """Return the first of `rows` (None: all) of an increasing column whose time is `at_ns` or later, by bisection."""
+    """Return the number of the first row of an increasing column whose time is `at_ns` or later, among its first `rows`
+    (None: all); `rows` if there is none. It is found by bisection, with one chunk read at the end.
+    """
     low, high = 0, int(time.shape[0]) if rows is None else rows
     while high - low > 4096:
         middle = (low + high) // 2

@@ -26,7 +26,7 @@ MAX_TEXT_BYTES = 1 << 24
 _BLOCK_BYTES = 1 << 22
 """Number of bytes that are read at a time, as estimated from the length of previous texts."""
 _FIRST_ROWS = 4
-"""Rows that are read before a length is known: the names of all axes, or four texts of the longest heaps (64 MB)."""
+"""Rows that are read before any length is known: the names of all axes, or four texts of the longest heaps (64 MB)."""
 _IMPORTED = (".csv", ".npz", ".txt", ".bin")
 """Suffixes of recordings that can be imported."""
 
@@ -51,7 +51,9 @@ def open_file(path: Path) -> h5py.File:
 
 
 def plain_value(value: Any) -> Any:
-    """Return an attribute as HDF5 programs mean it: text as str, and the element of a one-element array (MATLAB)."""
+    """Return an attribute as HDF5 programs mean it: text as str, and the element of an array with one element, which
+    MATLAB and others write for a number.
+    """
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value

@@ -89,7 +89,9 @@ class Live:
     def __init__(
         self, path: Path, preamble: Preamble, *, watermark: int, sync_s: float, force: bool, chunk: int = CHUNK
     ) -> None:
-        """Begin: then the locked journal and the file are on the disk. LogBusyError, DiskFullError, LogError."""
+        """Begin: when this returns, the locked journal and the file exist on the disk under their names. LogBusyError,
+        DiskFullError, LogError.
+        """
         self.path = path
         self.error: ImuArrayError | None = None
         self.groups = groups_of(preamble.sensors)
@@ -210,7 +212,9 @@ class Live:
             raise DiskFullError(self.path, f"the log was ended: less than {self._watermark >> 20} MiB are free")
 
     def _has_lost_journal(self) -> bool:
-        """Return whether the journal lost its name, so that each sync has to commit; an event reports it once."""
+        """Return whether the journal has lost its name, so that only the HDF5 file would survive a crash and each sync
+        has to commit. The loss is reported once, as an event.
+        """
         if self.lock.is_named:
             return False
         if not self._is_journal_lost:
@@ -256,7 +260,9 @@ SYNC_S = 1.0
 
 
 class Block(NamedTuple):
-    """Rows of one sensor: time (n,) int64 ns since the epoch, counts (n, k), status (n,) flags, further columns."""
+    """Rows of one sensor: time (n,) in int64 ns since the epoch, counts (n, k), status (n,) flags, counts (n,) of its
+    thermometer, and further columns (n,) by name in physical units (`compensated`).
+    """
 
     time: Times
     counts: npt.NDArray[Any]
@@ -272,7 +278,9 @@ class Block(NamedTuple):
 
 
 class Stimulus(NamedTuple):
-    """Rows of `/truth` or `/reference`: time (n,) ns, force (n, 3) m/s2, rate (n, 3) rad/s (box), degC (n,)."""
+    """Rows of `/truth` or `/reference`: time (n,) ns, specific force (n, 3) m/s2 and angular rate (n, 3) rad/s in the
+    box frame, temperature (n,) degC.
+    """
 
     time: Times
     specific_force: Floats
@@ -375,7 +383,9 @@ class LogWriter:
         return () if self._live is not None else tuple(self._draft.notes.phases)
 
     def begins(self, phase: Phase) -> None:
-        """Name a stretch of time until `phase.end_ns` at the latest; `phase` with the same start and name ends it."""
+        """Name a stretch of time that ends at `phase.end_ns` at the latest, so that a log that is interrupted has it
+        too. A later call of `phase` with the same start and name ends it.
+        """
         self._put(len(self._groups) - 1, note_columns(OpenPhase(*phase)))
 
     def event(self, event: Event) -> None:
@@ -483,7 +493,9 @@ class LogWriter:
             raise
 
     def _end(self, live: Live, error: BaseException | None) -> None:
-        """Finish the live log, or leave it unfinished and readable without space; raise an error of the thread once."""
+        """Finish the live log, if there is space; otherwise it remains unfinished and readable. An error of the thread
+        is raised unless it was raised before.
+        """
         remark = KEPT
         try:
             live.close()
@@ -556,7 +568,9 @@ def recover(
 
 
 def _is_journal_of(log: Log) -> bool:
-    """Return whether a journal beside a finished log is its own (epoch, sensors), left by a killed process."""
+    """Return whether the journal beside a finished log belongs to it, because the process was killed just before it
+    removed the journal: it has the same epoch and sensors. Also true if it is empty or missing.
+    """
     try:
         with JournalReader(log.path) as journal:
             preamble = journal.preamble
@@ -605,7 +619,7 @@ def _copy(path: Path, output: Path) -> None:
 
 
 def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tuple[Event, ...]) -> None:
-    """Write a finished copy of a log with the events `added`, check it, and rename it to `target`."""
+    """Write a finished copy of an unfinished log with the events `added`, check it, and rename it to `target`."""
     if log.preamble is None:
         raise LogError(f"{log.path}: is finished")
     try:
@@ -664,7 +678,9 @@ def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[
 
 
 def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
-    """Remove a finished log's journal (`keep`: rename it, return the name), reserve, and copies of dead processes."""
+    """Remove the files that a finished log does not need: its journal (renamed instead, with `keep`), the reserve, and
+    copies of terminated processes. Return the new name of the journal if it was renamed.
+    """
     journal_copy = None
     if lock is not None and keep:
         journal_copy = lock.put_aside()
