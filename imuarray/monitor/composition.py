@@ -96,7 +96,9 @@ def _silence(sensor: SensorLog, window: LatestRows, extent: tuple[int, int]) -> 
 
 
 def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
-    """Return the number of missing rows to the log's newest; `frame_period_ns` is 0 unless read once per frame."""
+    """Return the number of missing rows up to the newest row of the log; `frame_period_ns` is 0 for a sensor that is
+    not read once per frame.
+    """
     if frame_period_ns:
         missing = missing_rows(window.first_ns or 0, window.newest, window.total, frame_period_ns)
     else:
@@ -165,7 +167,7 @@ _PATIENCE_S = (0.02, 0.05, 0.0)
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:
-    """Return the average of the sensors of `log`(last seconds); ImuArrayError states why there is none."""
+    """Return the average of the sensors of `log`, which has the last seconds; ImuArrayError if there is none."""
     block = FusedBlock.joined(list(fuse(log, calibration, TECHNIQUE)))
     return _view(TECHNIQUE, bool(calibration.sensors), block)
 
@@ -317,7 +319,9 @@ def _no_rows(source: LogSource, name: str) -> Rows:
 
 
 def _frames(views: Sequence[SensorView]) -> list[SensorView]:
-    """Return the sensors read once a frame: most inertial ones of one rate; all of them lack a missed frame."""
+    """Return the sensors that are read once a frame: the largest set of inertial sensors with the same rate. A missed
+    frame is missing from all of them, a lost reading from one.
+    """
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
     sets = (
         [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz] for view in inertial

@@ -204,7 +204,9 @@ THEMES: Mapping[str, Theme] = {"light": Theme("#3d4653", "#dfe3e8"), "dark": The
 
 
 class FigureKind(NamedTuple):
-    """A kind of figures that differ by data only: "trace" over time or "density" over frequency, columns, unit."""
+    """The kind of figures that differ only by their data: "trace" over time or "density" over frequency, the names of
+    the columns, and the unit.
+    """
 
     plot: str
     columns: tuple[str, ...]

@@ -34,7 +34,9 @@ AT_ONCE = 1 << 19
 
 
 class Backlog:
-    """The rows from before the monitor began: (time column, number of rows) by sensor. `close` when all are counted."""
+    """The rows from before the monitor began, as (time column, number of rows) by sensor, which are counted in steps.
+    `close` is called when all are counted.
+    """
 
     def __init__(self, columns: Mapping[str, tuple[Any, int]], close: Callable[[], None] = lambda: None) -> None:
         self._columns = dict(columns)

@@ -94,7 +94,9 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def drawn(snapshot: Snapshot) -> dict[str, Any]:
-    """Return numbers and curves of the last seconds: times in s before the end, amplitude spectral densities."""
+    """Return the numbers and the curves of the last seconds: times in s before the end, spectra as amplitude spectral
+    densities.
+    """
     figures = described(snapshot)
     end_ns = snapshot.ends_ns or 0
     for figure, view in zip(figures["sensors"], snapshot.sensors, strict=True):

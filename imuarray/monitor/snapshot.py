@@ -141,7 +141,9 @@ WAITING, WRITTEN, FINISHED, INTERRUPTED = "waiting", "being written", "finished"
 
 @dataclass(frozen=True)
 class Disk:
-    """Free bytes on the log's disk, bytes per second of the log, and seconds until it is full (None: never)."""
+    """The free bytes on the log's disk, the bytes per second that the log takes, and the seconds until the logger ends
+    because the disk is full (None: it takes nothing).
+    """
 
     free_bytes: int
     bytes_per_s: float
