@@ -16,7 +16,7 @@ Stage = TypeVar("Stage", Instants, BoxStimulus, Analog, Codes)
 
 
 def acting(effect: Effect, run: int) -> Effect | None:
-    """Return the effect as it acts in run number `run`: unchanged, limited to spans, or None if it does not act."""
+    """Return the effect as it acts in run number `run`: unchanged, limited to its spans, or None if it does not act."""
     if not effect.spans:
         return effect
     own = [(begin_s, end_s) for number, begin_s, end_s in effect.each_span() if number == run]
@@ -43,7 +43,9 @@ def effects_in(run: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 @dataclass(frozen=True)
 class _Within(Effect):
-    """An `effect` that acts only on rows with stamps within `stretches_ns` (from, until); its draws do not change."""
+    """An `effect` that acts only on rows whose stamps lie within `stretches_ns`, each (from, until). Its random draws
+    are the same as those of an effect that always acts.
+    """
 
     effect: Effect = Effect()  # noqa: RUF009  # frozen
     stretches_ns: tuple[tuple[float, float], ...] = ()
@@ -55,7 +57,7 @@ class _Within(Effect):
         return self.effect.lookback(at)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Raise ValueError for an effect on the times of the chip's readings, which cannot be limited to rows."""
+        """Raise ValueError for an effect that changes the times of readings, which cannot be limited to single rows."""
         return _mixed(instants, self.effect.sampled(instants, at), self._inside(instants.stamp_ns))
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
@@ -63,7 +65,9 @@ class _Within(Effect):
         return np.where(inside, self.effect.flagged(status, instants, at), status)
 
     def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
-        """Return the stimulus unchanged; ValueError if the effect changes it: the stamps of rows are unknown here."""
+        """Return the stimulus unchanged; ValueError if the effect changes it, because the stamps of rows are unknown at
+        this stage.
+        """
         changed = self.effect.stimulus(stimulus, at)
         if changed is not stimulus:
             raise ValueError(f"spans: {self.effect.name} can't act for a part of a run")

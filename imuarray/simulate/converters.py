@@ -22,16 +22,20 @@ EVEN_ONLY_FROM_HZ = 1600.0
 """Data rate of the ADXL345 from which its lowest bit is always 0 in full resolution (ADX-47)."""
 
 _NEAREST = 0.75
-"""Fraction of a configured rate above which the actual rate is this setting: those of the ADXL345 are octaves."""
+"""Fraction of a configured rate. An actual rate above it is taken to be this setting and not the next lower one,
+because the rates of the ADXL345 are octaves apart (ADX-32).
+"""
 
 _ON_TIME = 1e-6
 _ROUNDED_S = 1e-9
-"""Tolerances of a due time, as a fraction of a period and in s (rounding); the larger one applies."""
+"""Tolerances of a due time, as a fraction of a period and in s (the rounding of times). A reading that is due within
+the larger of the two counts as made.
+"""
 
 
 @dataclass(frozen=True)
 class CodeSpan:
-    """The lowest and highest code, the step between codes that occur, and the code beyond them."""
+    """The lowest and highest code, the step between codes that occur, and the code delivered beyond them."""
 
     lowest: int
     highest: int
@@ -49,7 +53,9 @@ _COUNT_BITS = 16
 
 
 def thermometer_of(header: SensorHeader) -> ChipThermometer | None:
-    """Return the chip's thermometer, by its header or else its data sheet; None without one or for unknown counts."""
+    """Return the chip's own thermometer, from its header or otherwise from its data sheet; None if the chip has none,
+    or if the meaning of its counts is unknown.
+    """
     if not header.has_temperature:
         return None
     scale = header.thermometer
@@ -66,17 +72,21 @@ def thermometer_counts(thermometer: ChipThermometer, temperature_degc: Reals) ->
 
 
 def even_step(chip: str, rate_hz: float) -> int:
-    """Return 2 for an ADXL345 near a rate at which only even codes occur (ADX-47), otherwise 1."""
+    """Return 2 for an ADXL345 at a rate at which only even codes occur (ADX-47), otherwise 1. The actual rate may be up
+    to 25 % below the configured one (`_NEAREST`).
+    """
     return 2 if chip == "adxl345" and rate_hz >= _NEAREST * EVEN_ONLY_FROM_HZ else 1
 
 
 def adxl345_bandwidth_hz(rate_hz: float) -> float:
-    """Return the bandwidth of the ADXL345's noise in Hz: half the rate (ADX-32), at least that of 100 Hz (ADX-68)."""
+    """Return the bandwidth of the ADXL345's noise in Hz: half the data rate (ADX-32), but at least 50 Hz (ADX-68)."""
     return max(rate_hz, 100.0) / 2
 
 
 def code_span(sensor: SensorHeader) -> CodeSpan:
-    """Return the code span of a triad as configured (ADX-46, BMA-60, HMC-32, TDK-13), else that of all bits."""
+    """Return the code span of a triad as it is configured (ADX-46, BMA-60, HMC-32, TDK-13); for other chips, the span
+    of all bits.
+    """
     if sensor.chip == "adxl345":
         half = round(sensor.range * 256)
         step = even_step(sensor.chip, sensor.rate_hz)

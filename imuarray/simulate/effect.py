@@ -109,7 +109,7 @@ class Effect:
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def active_axes(self) -> tuple[bool, ...]:
-        """Return (3,) on which axes the effect acts, by its parameters per axis; False without such parameters."""
+        """Return (3,) on which axes the effect acts, by its parameters per axis; False for all axes if it has none."""
         axis_fields = [item for item in fields(self) if item.metadata.get("per_axis")]
         idle = type(self)()
         return tuple(
@@ -192,7 +192,9 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
-    """Return the keys of an effect's table in this unit, common keys last: "offset_dps" for the field `offset`."""
+    """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" for the field `offset`.
+    The keys that all effects have in common are last.
+    """
     ordered = sorted(fields(kind), key=lambda item: item.name == "spans")
     return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in ordered}
 

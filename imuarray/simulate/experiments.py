@@ -79,7 +79,9 @@ def turn_on(options: ExperimentOptions) -> Motion:
 
 
 def motion(options: ExperimentOptions) -> Motion:
-    """Return a box at rest, moved, and at rest again; or the motion of a file. SourceError for an unreadable file."""
+    """Return a box at rest, moved, and at rest again; or the motion that a file describes. SourceError for a file that
+    can't be read.
+    """
     if options.drive not in DRIVES:
         if not Path(options.drive).exists():
             near = guess(options.drive, DRIVES) or guess_file(options.drive)
@@ -129,7 +131,9 @@ class BootRun:
 
 
 def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
-    """Return a run with the sensors, times, faces and temperature of a log; LogError for a sensor it lacks."""
+    """Return a run with the sensors, times, faces and temperature of another log; LogError for a sensor that the log
+    does not have.
+    """
     return BootRun(path, plan_like(log, only), LikeLog(log), boot)
 
 
@@ -173,7 +177,7 @@ def run_of(
 def with_effects(
     effects: Mapping[str, Sequence[Effect]], added: Mapping[str, Sequence[Effect]]
 ) -> dict[str, tuple[Effect, ...]]:
-    """Return the effects of each sensor with those `added`, in physical order; ConfigError for an unknown sensor."""
+    """Return each sensor's effects including those `added`, in physical order; ConfigError for an unknown sensor."""
     for name in added:
         if name not in effects:
             raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")
@@ -187,7 +191,9 @@ def with_effects(
 
 
 def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -> Iterator[str]:
-    """Yield remarks on sensors without effects, on unused parts of the model, and on a log of unknown motion."""
+    """Yield remarks on sensors without effects in the model, on parts of the model that apply to no sensor, and on a
+    recorded log that does not state how the box moved.
+    """
     triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
     ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]
     if ideal:

@@ -71,7 +71,9 @@ def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
 
 
 def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
-    """Yield the effects that reproduce the calibration's map. Data-sheet values were not measured and give none."""
+    """Yield the effects that reproduce the calibration's map. A data-sheet value in the map was not measured, so no
+    effect is made from it.
+    """
     orientation = np.array(header.orientation)
     sensed = unit.response_lsb_per_unit @ orientation / header.sensitivity
     exchange = np.eye(3)
@@ -86,7 +88,9 @@ def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
 
 
 def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterator[Effect]:
-    """Yield the effects of a response `sensed` (3, 3), rows: the sensor's axes, columns: the nominal exchanged axes."""
+    """Yield the effects of a response `sensed` (3, 3): its rows are the sensor's axes, its columns the exchanged axes
+    from which they are misaligned.
+    """
     axis_of_row = np.abs(exchange).argmax(axis=1)
     yield AxisError(
         "".join("+-"[int(row[axis] < 0)] + "XYZ"[axis] for row, axis in zip(exchange, axis_of_row, strict=True))

@@ -21,7 +21,9 @@ from imuarray.log.format import LOST_BEFORE
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 _TIGHT_NS = 500_000
-"""Limit of the spread of intervals in a frame in ns, apart from waits; above it, they contain idle time."""
+"""Limit of the spread in ns of the intervals between two readings of a frame, apart from waits. Above it, intervals
+contain idle time, which a wait shortens.
+"""
 
 _LEAST_NS = 250_000
 """Half of the shortest wait that is evaluated, in ns."""
@@ -63,7 +65,9 @@ class DelayedTimes:
         return self.own.stamps(start, stop)
 
     def waits(self, start: int, stop: int) -> tuple[Integers, Booleans]:
-        """Return, for rows start ... stop - 1, half the host's wait before each in ns (n,), and if it missed (n,)."""
+        """Return, for rows start ... stop - 1, half of the host's wait before each in ns (n,), and whether the host
+        missed a reading there (n,).
+        """
         halves, missed = np.zeros(stop - start, np.int64), np.zeros(stop - start, bool)
         first, last = np.searchsorted(self.waited, (start, stop))
         halves[self.waited[first:last] - start] = self.half_ns[first:last]
@@ -79,7 +83,9 @@ def lost_rows(line: Timeline) -> tuple[tuple[int, int, int], ...]:
 
 
 def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
-    """Return the `lines` of recorded `sensors` with the host's delays, estimated from the times of all, if any."""
+    """Return the `lines` of recorded `sensors` with the host's delays, which are estimated from the times of all of
+    them; a timeline without delays is returned unchanged.
+    """
     names = list(lines)
     recorded = [sensors[name] for name in names]
     windows = _windows(recorded)
@@ -100,7 +106,9 @@ def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog])
 
 
 class _HostDelays(NamedTuple):
-    """One sensor's delays: rows (w,) before which the host waited, half the waits (w,), and times (l,) after losses."""
+    """The delays of one sensor: rows (w,) before which the host waited, half of the waits (w,), and the times (l,) of
+    rows flagged as following a loss.
+    """
 
     waited: Integers
     half_ns: Integers
@@ -207,7 +215,7 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
 
 
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
-    """Return the rows that were lost while every other sensor also lost rows: the host did not read."""
+    """Return the numbers of rows that were lost while every other sensor also lost rows: the host did not read then."""
     other_times = [times for other, times in after.items() if other != name]
     if not isinstance(line, GapFilledTimes) or not other_times:
         return _NOTHING

@@ -254,7 +254,7 @@ def _part(entry: Any, place: Place, mistakes: list[Mistake]) -> Part:
 
 
 def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe:
-    """Return the parameters of an effect's table; ConfigError, beginning with the kind, for a wrong unit."""
+    """Return the parameters of an effect's table; ConfigError, which begins with the kind, for an unsuitable unit."""
     if strange := [key for key in table if not key.isprintable()]:
         raise ConfigError(f"{kind}: {strange[0]!r}: unknown key")
     recipe = {key: figure_of(value, f"{kind}: {key}") for key, value in table.items()}

@@ -63,7 +63,7 @@ class Spread(BaseModel):
 
 
 _NORMAL = NormalDist()
-"""The standard normal distribution of the standard library; importing `scipy.special` takes 0.1 s."""
+"""The standard library's standard normal distribution, because importing `scipy.special` takes 0.1 s."""
 
 
 def _probability(deviate: float) -> float:
@@ -79,7 +79,9 @@ Recipe: TypeAlias = Mapping[str, Figure]
 
 
 def figure_of(value: Any, where: str) -> Figure:
-    """Return a parameter from its TOML value; ConfigError for another table, a nested list or too large a number."""
+    """Return a parameter from its TOML value; ConfigError for a table that is not a population, a nested list, or a
+    number beyond the limit.
+    """
     if isinstance(value, list):
         return tuple(_item(part, f"{where}, number {number}") for number, part in enumerate(value, start=1))
     return _item(value, where)
@@ -133,7 +135,9 @@ def _spread_of(table: dict[str, Any], where: str) -> Spread:
 
 
 def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -> Any:
-    """Return the parameter with `value` of (index, population) for populations; a single one is drawn `count` times."""
+    """Return the parameter with `value` of (index, population) in place of populations; a single population is drawn
+    `count` times.
+    """
     if isinstance(figure, Spread):
         return [value(index, figure) for index in range(count)] if count else value(0, figure)
     if isinstance(figure, tuple):

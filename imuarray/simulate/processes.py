@@ -29,7 +29,7 @@ from imuarray.simulate.signal import Place, Triple
 from imuarray.simulate.streams import Stream
 
 KNOTS = 4096
-"""Knots per chunk of a process. Drawing them dominates the cost; few beyond a requested stretch are drawn in vain."""
+"""Knots per chunk of a process. Drawing them dominates the cost; few are drawn in vain beyond a requested stretch."""
 
 _PER_TIME_CONSTANT = 500  # least number of knots
 _OF_A_SUM = 16
@@ -47,7 +47,9 @@ _FORGOTTEN = 42.0  # time constants; exp(-42) of the past is below the last bit
 
 
 class Recursion(NamedTuple):
-    """The recursion x[k + 1] = exp(-decay) x[k] + w, w ~ N(0, step^2), x[0] ~ N(0, initial^2); 0: random walk."""
+    """The recursion x[k + 1] = exp(-decay) x[k] + w with w ~ N(0, step^2) and x[0] ~ N(0, initial^2); with `decay` 0 it
+    is a random walk.
+    """
 
     decay: float
     step: float
@@ -154,7 +156,9 @@ def _growth(steps: npt.ArrayLike, decay: float) -> Floats:
 
 @lru_cache(maxsize=64)
 def _bridge(decay: float) -> Floats:
-    """Return (KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start: how an end's correction acts."""
+    """Return (KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start, k = 1 ... K = KNOTS: the share of
+    a correction of the end that is applied to each knot.
+    """
     steps = np.arange(1, KNOTS + 1)
     return np.asarray(np.exp((steps - KNOTS) * decay) * _growth(steps, decay) / _growth(KNOTS, decay))
 

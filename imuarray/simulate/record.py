@@ -45,7 +45,9 @@ class _ArrivingRows(NamedTuple):
 
 @dataclass(frozen=True)
 class Origin:
-    """The origin of a simulated log: wall time of time 0 (ISO 8601, UTC), and a note (model, seed) for an event."""
+    """The origin that a simulated log states: the wall time of time 0 (ISO 8601, UTC), and a note (model and seed) that
+    becomes an event at time 0.
+    """
 
     epoch: str = EPOCH
     note: str = ""

@@ -74,7 +74,9 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The data that all triads share: motion, random streams, codes of neighbours by name and rows, type of numbers."""
+    """The data that all triads of a simulation share: the motion, the random streams, the function that returns a
+    neighbour's codes by name and rows, and the type of the numbers.
+    """
 
     motion: Motion
     streams: Streams
@@ -83,7 +85,7 @@ class Surroundings:
 
 
 class _SharedSignal(NamedTuple):
-    """The memory that stores signals after the first `effects` acting effects, and the `owner` they belong to."""
+    """The memory that stores signals after the first `effects` acting effects, and the `owner` of these in it."""
 
     memory: DrawMemory
     owner: Hashable
@@ -135,7 +137,7 @@ class SimulatedSensor:
         self._shared: _SharedSignal | None = None
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
-        """Keep computed rows of `owner` in a memory, instead of only the latest in this sensor."""
+        """Keep computed rows in a memory, as those of `owner`, instead of keeping only the latest in this sensor."""
 
         def chunk(number: int, swapped: bool) -> Chunk:
             key = (owner, number, swapped)
@@ -174,7 +176,9 @@ class SimulatedSensor:
         )
 
     def codes(self, first: int, stop: int) -> Codes:
-        """Return the codes of rows first ... stop - 1, also dropped ones, before a channel swap; else ValueError."""
+        """Return the codes of rows first ... stop - 1, including dropped ones, without a channel swap; ValueError
+        beyond the last row.
+        """
         if stop > self.rows:
             raise ValueError(f"{self.header.name}: row {stop - 1} of {self.rows}")
         parts = [
@@ -218,7 +222,7 @@ class SimulatedSensor:
         return _arriving_of(self._evaluate(begin, end), 0, end - begin)
 
     def _evaluate(self, begin: int, end: int, swapped: bool = True) -> Chunk:
-        """Compute rows begin ... end - 1, with the sensor's channel swap, or without it for a neighbour."""
+        """Compute rows begin ... end - 1 with the sensor's own channel swap, or without it if a neighbour asks."""
         first = max(0, begin - self._lookback)
         acting = [(effect, at) for effect, at in self._acting if swapped or effect.name != "channel_swap"]
         instants, codes = self._chain(first, end, acting)
@@ -326,7 +330,9 @@ class SimulatedSensor:
 
 
 class SimulatedBarometer:
-    """A barometer without effects: the data sheet's example part and noise; of an unknown chip, those of the BMP180."""
+    """A barometer without effects: the data sheet's example part with the data sheet's noise. A chip that
+    `imuarray.barometer` does not have is simulated as a BMP180.
+    """
 
     def __init__(self, header: SensorHeader, timeline: Timeline, motion: Motion, streams: Streams) -> None:
         self._barometer = BAROMETERS.get(header.chip, BAROMETERS["bmp180"])

@@ -127,11 +127,13 @@ class Place:
         return kept
 
     def row_at(self, at_ns: float, stop: int) -> int:
-        """Return the first of the rows before `stop` whose stamp is not earlier than this time; else `stop`."""
+        """Return the first row before `stop` whose stamp is not earlier than this time; `stop` if there is none."""
         return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
     def rows_in(self, first: int, stop: int, stretches_ns: Iterable[tuple[float, float]]) -> Iterator[tuple[int, int]]:
-        """Yield begin and end row of each stretch (from, until) within rows first ... stop - 1."""
+        """Yield, for each stretch (from, until) that overlaps rows first ... stop - 1, its first row and the row after
+        its last one, at most `stop`.
+        """
         first_ns, last_ns = (int(self.stamps(row, row + 1)[0]) for row in (first, stop - 1))
         for due_ns, over_ns in stretches_ns:
             if due_ns <= last_ns and over_ns > first_ns:

@@ -40,7 +40,7 @@ _FRAMES_LIKE_HZ = 50.0
 
 @dataclass(frozen=True)
 class Plan:
-    """The sensors and the times at which they are read. A recording of the same run shares them."""
+    """The sensors and the times at which they are read: what a simulation and a recording of the same run share."""
 
     sensors: Mapping[str, tuple[SensorHeader, Timeline]]
     frames: PollTimes
@@ -121,7 +121,7 @@ class Simulation:
         seed: int = 0,
         boot: int = 0,
     ) -> Simulation:
-        """Return the simulation of an array that is polled during the whole motion, with units by `model`."""
+        """Return the simulation of an array that is polled during the whole motion, with units that `model` defines."""
         plan = plan_of(array, frame_rate_hz, motion.seconds)
         return cls(plan, motion, effects_of(plan, model, seed), seed=seed, boot=boot)
 
@@ -165,7 +165,9 @@ def effects_of(
 
 
 def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> SensorHeader:
-    """Return position and orientation of a sensor, or of that whose place these effects give it; else ValueError."""
+    """Return the position and orientation of a sensor with these effects: those of its header, or of another sensor
+    whose place it has. ValueError if there is no such sensor.
+    """
     for effect in effects:
         if isinstance(effect, ChannelSwap) and effect.kind == "place" and effect.sensor:
             if effect.sensor not in plan.sensors:

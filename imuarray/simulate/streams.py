@@ -30,7 +30,9 @@ Value = TypeVar("Value")
 
 
 class DrawMemory:
-    """A cache of the latest draws, limited in bytes: models that are compared draw the same numbers once."""
+    """A cache of the latest results of draws, limited in bytes, for many simulations of the same units: models that are
+    compared with the same random numbers do not draw them again.
+    """
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes = most_bytes
@@ -80,7 +82,9 @@ class Stream:
         return self._rows(self._normal_chunk, start, stop)
 
     def uniform(self, start: int, stop: int) -> Reals:
-        """Return (stop - start, width) independent numbers in [0, 1); read-only. Use only one kind per stream."""
+        """Return (stop - start, width) independent numbers in [0, 1); read-only. Use either `normal` or `uniform` of
+        one stream, not both.
+        """
         return self._rows(self._uniform_chunk, start, stop)
 
     def generator(self, chunk: int = 0) -> np.random.Generator:
@@ -147,7 +151,9 @@ class Stream:
 
 
 class Streams:
-    """All streams of one simulation: draws of units depend on `seed`, those of runs on `seed` and `boot`."""
+    """All streams of one simulation: the draws of the units depend on `seed`, those that differ from run to run on
+    `seed` and `boot`.
+    """
 
     def __init__(self, seed: int, boot: int = 0, memory: DrawMemory | None = None) -> None:
         if seed < 0 or boot < 0:
@@ -164,7 +170,7 @@ class Streams:
         chunk_rows: int = CHUNK,
         scale: Sequence[float] | None = None,
     ) -> Stream:
-        """Return a stream that differs from run to run; `chunk_rows`, drawn at a time, are part of its identity."""
+        """Return a stream that differs from run to run; `chunk_rows` are drawn at a time and belong to its identity."""
         stream = Stream((self.seed, 1 + self.boot, *_words(name)), width, dtype, chunk_rows, scale)
         stream.memory = self.memory
         return stream

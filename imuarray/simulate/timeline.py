@@ -33,7 +33,9 @@ _BURST_CLOCKS = {chip: 9 * (spec.burst_bytes + 3) if spec.burst_bytes else 0 for
 """SCL clocks of a burst as the drivers read it: nine per byte, after two addresses and a register (BUS-01)."""
 
 _SOON = 1.1
-"""Margin in frames for the order: a slow chip is read a frame later if it can wait by this margin."""
+"""Margin, in frames, for the different delays in forward and reverse order: a slow chip is not read in a frame if it
+can wait for the next frame with this margin.
+"""
 _SINGLE = 1024
 _PIECE, _PIECES = 16384, 16
 """Rows of a recorded sensor whose stamps are read at once, and the number of such pieces that are kept: 2 MB."""
@@ -59,7 +61,9 @@ _AROUND = 2
 """Number of intervals on either side of a long one in which a shorter one shows that a row was late and not lost."""
 
 _LEAST_BEAT, _EVEN = 3, 0.5
-"""Fewest distances between gaps, and the coefficient of variation below which they are even (random: 1)."""
+"""Minimum number of distances between gaps, and the coefficient of variation of these distances below which gaps are
+evenly spaced; the coefficient is 1 for independent gaps.
+"""
 
 
 class Timeline(Protocol):
@@ -163,13 +167,15 @@ class LogTimes:
 
     @cached_property
     def _single_stamp(self) -> Callable[[int], Integers]:
-        """Return the cached stamp (1,) of a single row, as those at the ends of phases recur."""
+        """Return the cached stamp (1,) of a single row, because the ends of phases are requested repeatedly."""
         return lru_cache(maxsize=_SINGLE)(lambda row: np.asarray(self._time[row : row + 1], np.int64))
 
 
 @dataclass(frozen=True, eq=False)
 class GapFilledTimes:
-    """The rows of a recorded sensor: `missing` (h,) rows, evenly spaced, precede its rows `before` (h,)."""
+    """The rows of a recorded sensor including those that it lost: `missing` (h,) rows, evenly spaced, precede its rows
+    `before` (h,), which ascend and do not include the first one.
+    """
 
     recorded: Timeline
     before: Integers
@@ -284,7 +290,9 @@ def _is_beat(rows: Integers) -> bool:
 
 
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
-    """Return the timelines of an array polled `frame_rate_hz` times a second; ConfigError if the bus is too slow."""
+    """Return the timelines of an array that is polled `frame_rate_hz` times a second for `seconds`; ConfigError if the
+    bus is too slow for this rate.
+    """
     if not frame_rate_hz > 0:
         raise ConfigError(f"{frame_rate_hz:g} frames per second: allowed is anything above 0")
     frames, period_ns = frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz)
@@ -315,7 +323,9 @@ def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
 
 
 def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int], int]:
-    """Return the delays in ns from the start of a frame to each burst, forward and reverse, and its duration."""
+    """Return the delays in ns from the start of a frame to each sensor's burst, in the forward and in the reverse
+    order, and the duration of a frame.
+    """
     segments: dict[int | str | None, list[SensorConfig]] = {}
     for sensor in array.sensors:
         segments.setdefault(sensor.bus or sensor.channel, []).append(sensor)

@@ -86,7 +86,9 @@ class Bandwidth(Effect):
         return max(rows, _rows_remembered(_noise_filter(decay, self._response)[1]))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Filter the noise, stationary from the first row on, and the signal, constant before the first row."""
+        """Filter the noise, which is stationary from the first row on, and the signal, which is assumed to be constant
+        before the first row.
+        """
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self.decay(at.rows_per_s)
@@ -161,7 +163,7 @@ class Bandwidth(Effect):
 
 
 def two_pole_cutoff_hz(delay_s: float) -> float:
-    """Return the cutoff in Hz of a two-pole Butterworth filter with a delay of `delay_s`, or vice versa."""
+    """Return the cutoff in Hz of a two-pole Butterworth filter with a delay of `delay_s`, or the delay for a cutoff."""
     return 1 / (math.sqrt(2) * math.pi * delay_s)
 
 
@@ -184,7 +186,9 @@ class _Response(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def _correlation(decay: float, response: _Response) -> float:
-    """Return the correlation of band-limited noise at a lag of `decay` time constants: transform of |response|^2."""
+    """Return the correlation of the filtered noise at a lag of `decay` time constants. For band-limited noise it is the
+    cosine transform of the squared response.
+    """
     if math.isinf(response.band):
         fade = math.exp(-decay)
         return fade if response.poles == 1 else fade * (math.cos(decay) + math.sin(decay))

@@ -79,7 +79,7 @@ class BistableBias(Effect):
 
 
 _TIME_CONSTANT_RATIO = 4.0
-"""Ratio of neighbouring time constants of flicker noise: their sum is 1/f within 1 % between the first and the last."""
+"""Ratio of neighbouring time constants of flicker noise: the sum is 1/f within 1 % from the fastest to the slowest."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class PopcornNoise(Effect):
 
 
 def _last_level(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
-    """Return (3,) the level after chunks (c, 3): that of the last chunk with a draw, or the previous one."""
+    """Return (3,) the level after chunks (c, 3): that of the last chunk with a draw, or else the level before them."""
     is_drawn, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
     return np.asarray(levels[len(is_drawn) - 1 - is_drawn[::-1].argmax(axis=0), np.arange(3)])
 
@@ -199,7 +199,7 @@ def _last_level(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
 def _levels(
     places: np.random.Generator, draws: Integers, high_share: float, begin: Booleans, last: Booleans
 ) -> Booleans:
-    """Return (CHUNK, 3) the level of each row. Each axis has a number of `draws`, at uniformly distributed rows."""
+    """Return (CHUNK, 3) the level of each row. Each axis has its number of `draws`, at uniformly distributed rows."""
     columns = []
     for axis, count in enumerate(draws.tolist()):
         rows = np.sort(places.integers(CHUNK, size=count))

@@ -46,7 +46,7 @@ class OdrError(Effect):
                 require(name, value, 1e-3, 1e6)
 
     def lookback(self, at: Place) -> int:
-        """Return the largest number of rows that repeat one reading, plus one."""
+        """Return the largest number of rows that repeat one reading, plus one; 0 if none is repeated."""
         set_hz = at.sensor.rate_hz if math.isnan(self.rate_hz) and self.clock_ratio != 1.0 else self.rate_hz
         real_hz = set_hz * self.clock_ratio
         return math.ceil(at.rows_per_s / real_hz) + 1 if 0 < real_hz < at.rows_per_s else 0
@@ -59,7 +59,7 @@ class OdrError(Effect):
         return replace(instants, rate_hz=set_hz * self.clock_ratio)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Scale the noise and set the converter. ValueError for a bandwidth if that of the chip is fixed."""
+        """Scale the noise and set the converter. ValueError for a bandwidth if the chip's cannot be configured."""
         if math.isnan(self.rate_hz) and math.isnan(self.bandwidth_hz):
             return analog  # an oscillator's error alone is already part of the instants
         set_hz = analog.rate_hz / self.clock_ratio if math.isnan(self.rate_hz) else self.rate_hz
@@ -190,7 +190,9 @@ class RangeReset(Effect):
         return marked
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
-        """Yield the known stretches of this run: begin of suspect rows, begin and end of the other range (ns)."""
+        """Yield the known stretches of this run: the time from which rows are suspect, and beginning and end of the
+        other range (ns).
+        """
         resets = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
         for run, moment_s, length_s, doubt_s in resets:
             if run == at.streams.boot:
@@ -214,7 +216,7 @@ def _sensitivity(sensor: SensorHeader, range_: float) -> float:
 
 
 def _from(since: Booleans, new: Number, old: Number | Reals, dtype: npt.DTypeLike) -> Number | Reals:
-    """Return `new` for the rows where `since` is true and `old` for the others; one number if all are equal."""
+    """Return `new` for rows where `since` is true and `old` for the others; one number if it is equal in all rows."""
     if since.all():
         return new
     return np.asarray(np.where(since[:, None], new, old), dtype)
@@ -337,7 +339,9 @@ class AdaptiveRange(Effect):
     hold_s: float = scalar(0.0, low=0.0, high=1.0)
 
     def lookback(self, at: Place) -> int:
-        """Return how many rows before a stretch can affect it: a run of held rows, the crossing, and one more."""
+        """Return the number of rows before a stretch that can affect it: a run of held rows, the crossing before it,
+        and one more row.
+        """
         if not self._acts:
             return 0
         return LONGEST + math.ceil(self.hold_s * at.rows_per_s) + 2

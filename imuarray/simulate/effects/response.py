@@ -27,7 +27,7 @@ class SizeEffect(Effect):
     position_mm: Triple = per_axis()
 
     def stimulus(self, stimulus: BoxStimulus, at: Place) -> BoxStimulus:
-        """Add the rotational part of the specific force; a constant force remains so without rotation."""
+        """Add the rotational part of the specific force; a constant force remains constant if there is no rotation."""
         rate, acceleration = stimulus.rate_box, stimulus.angular_acceleration_box
         if rate.strides[0] == acceleration.strides[0] == 0:
             rate, acceleration = rate[:1], acceleration[:1]

@@ -15,7 +15,9 @@ from imuarray.simulate.signal import Analog, BoxStimulus, Motion, Place, Triple,
 _STEPS = 50
 """Number of steps of the recursion per time constant."""
 _SHORTEST_S, _LONGEST_S = 0.01, 10.0
-"""Limits of a step in s: shorter than relevant changes of temperature, short enough for a heater's start."""
+"""Limits of a step in s. The lower one is shorter than any relevant change of temperature; the upper one is still short
+enough to follow a heater that is switched on.
+"""
 _FORGOTTEN = 20.0
 """Number of time constants after which a share of 2e-9 of a difference in temperature remains."""
 

@@ -35,7 +35,7 @@ class ClockError(Effect):
     warm_up_s: float = scalar(60.0, low=1e-3, high=1e9)
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless the ratio of the clocks stays between one half and three halves."""
+        """Raise ValueError unless the ratio of the clocks stays between 0.5 and 1.5, also at the beginning."""
         super().__post_init__()
         require("error_ppm + warm_up_ppm", self.error_ppm + self.warm_up_ppm, -5e5, 5e5)
 
@@ -51,7 +51,9 @@ class ClockError(Effect):
 
 
 AT_ITS_RATE = 0.05
-"""Relative tolerance of the row rate to the chip's data rate within which rows are its own readings, not polled."""
+"""Relative tolerance of the row rate. Rows within it of the chip's data rate are assumed to be the chip's own readings
+and not polled.
+"""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class OwnClock(Effect):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
 
     def lookback(self, at: Place) -> int:
-        """Return the largest number of rows that repeat one reading, plus one, if the rate is below that of rows."""
+        """Return the largest number of rows that repeat one reading, plus one; 0 if none is repeated."""
         real_hz = at.sensor.rate_hz * (1 + self.rate_error)
         if not self.rate_error or not self._is_polled(at) or real_hz >= at.rows_per_s:
             return 0
@@ -205,7 +207,7 @@ class DroppedSamples(Effect):
     lengths_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a share of lost rows that such bursts cannot produce, or for unequal lengths."""
+        """Raise ValueError for a share of lost rows that such bursts cannot produce, or lists of unequal lengths."""
         super().__post_init__()
         require("probability", self.probability, 0.0, self.burst_rows / (self.burst_rows + 1))
         self.check_events("runs", "moments_s", "lengths_s")

@@ -72,7 +72,7 @@ def shortest_turn(up_before: str, up_after: str) -> Reals:
 
 
 def turned(attitude: Reals, turn: Reals) -> Reals:
-    """Return the attitude (3, 3) after a rotation by quarter turns (box-frame vector), without rounding errors."""
+    """Return the attitude (3, 3) after quarter turns (rotation vector in the box frame), without rounding errors."""
     if not np.any(turn):
         return attitude + 0.0
     from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load

@@ -122,7 +122,9 @@ class HandShake(MotionBetweenRests):
         return self._drawn(TURN_HZ, math.radians(self.peak_dps), 1)
 
     def _drawn(self, bands_hz: tuple[tuple[float, float], ...], peak: float, order: int) -> _Sines:
-        """Return sines whose derivative of this order is at most `peak`, even where the envelope rises."""
+        """Return sines whose derivative of this order has a magnitude of at most `peak`. The rising envelope adds to
+        the derivatives of a sine, so the amplitude is chosen for the worst instant.
+        """
         generator = np.random.default_rng([self.seed, order])
         low, high = np.transpose(bands_hz)
         hertz = low * (high / low) ** generator.random((3, 2))

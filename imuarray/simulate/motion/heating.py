@@ -22,7 +22,9 @@ COOLING_MIN = 20.0
 
 
 class _Stretch(NamedTuple):
-    """A part of the profile: phase, minutes, initial and asymptotic temperature in degC, time constant in minutes."""
+    """A part of the profile: phase, duration in minutes, temperature at its beginning and asymptotic temperature in
+    degC, time constant in minutes.
+    """
 
     name: str
     minutes: float
@@ -104,7 +106,7 @@ class Heating:
 
     @cached_property
     def _columns(self) -> Reals:
-        """Return (3, 5) for each stretch: asymptotic temperature in degC, initial distance from it, decay per ns."""
+        """Return (3, 5) for each stretch: asymptotic temperature in degC, initial difference from it, decay per ns."""
         towards = np.array([stretch.towards_degc for stretch in self._profile])
         begins = np.array([stretch.begins_degc for stretch in self._profile])
         constants_ns = np.array([self.scale * 60e9 * stretch.constant_min for stretch in self._profile])

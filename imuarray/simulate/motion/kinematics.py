@@ -20,7 +20,7 @@ from imuarray.simulate.motion.stimulus import BoxStimulus
 from imuarray.units import STANDARD_GRAVITY
 
 _SMALL = 0.2
-"""Squared angle in rad2 below which series are used; there the terms after the seventh are below the last bit."""
+"""Squared angle in rad2 below which series are used; the terms beyond x^7 are then smaller than the last bit."""
 
 
 class Attitude(Protocol):
@@ -105,7 +105,9 @@ class RotationVector:
 
 
 def _series(offset: int) -> Reals:
-    """Return the coefficients of sum of (-x)^k / (2 k + offset)!, highest power first, x = theta^2."""
+    """Return the coefficients of sum of (-x)^k / (2 k + offset)!, highest power first. With x = theta^2 the sum is
+    sin(theta) / theta, (1 - cos(theta)) / theta^2, (theta - sin(theta)) / theta^3 for offset 1, 2, 3.
+    """
     return np.array([(-1.0) ** k / math.factorial(2 * k + offset) for k in range(8)])[::-1]
 
 

@@ -54,7 +54,7 @@ temperature at 28 Hz take 6 MB, and a box at rest takes the same amount again.
 
 
 _MOST_TRACK_ROWS = 1 << 20
-"""Maximum number of rows of a track that is read whole to reduce its noise; longer ones are kept."""
+"""Maximum number of rows of a track that is read whole to reduce its noise. A longer one is followed as recorded."""
 
 
 class _CubicPieces(NamedTuple):
@@ -132,7 +132,7 @@ class SplineColumns:
         return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
 
     def _constant(self, within: Integers) -> Reals | None:
-        """Return one broadcast row (n, c) if all values in the span of the times are equal; else None."""
+        """Return one broadcast row (n, c) if all values from first to last of the times are equal; otherwise None."""
         if len(within) == 0:
             return None
         ends = np.array([within.min(), within.max()])
@@ -233,7 +233,9 @@ class SplineColumns:
 
 
 def _slopes(time_ns: Integers, rows: Reals) -> Reals:
-    """Return slopes (k, c) per s by the three-point formula; exactly 0 between equal rows."""
+    """Return slopes (k, c) per s by the three-point formula; exactly 0 between equal rows, for which the formula gives
+    rounding errors.
+    """
     if len(rows) == 1:
         return np.zeros_like(rows)
     is_still = np.pad(np.diff(rows, axis=0) == 0, ((1, 1), (0, 0)), constant_values=True)
@@ -309,7 +311,9 @@ def _moving(block: _CubicPieces, row: npt.NDArray[np.intp]) -> npt.NDArray[np.in
 
 
 def _pieces(block: _CubicPieces, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Reals, Reals, Reals]:
-    """Return, in pieces that vary: (n,) position, 0 to 1; (n,) length of the piece in s; (3, c, n) p1, p2, p3."""
+    """Return, for times in pieces that are not constant: (n,) their position in the piece, 0 to 1; (n,) the length of
+    the piece in s; (3, c, n) p1, p2, p3.
+    """
     piece = block.moves.take(row)
     length_s = block.length_s.take(piece)
     return ((time_ns - block.time_ns.take(row)) * 1e-9) / length_s, length_s, block.curve.take(piece, axis=2)
@@ -336,7 +340,7 @@ _MEDIAN_OF_SECOND_DIFFERENCES = 0.6745 * math.sqrt(6)
 TemperatureSource = Literal["truth", "reference", "barometer", "chip", "nothing"]
 
 _FEW = 256
-"""Largest number of instants whose stimulus is cached: the same few are requested repeatedly."""
+"""Largest number of instants whose stimulus is cached: the same few, all over a phase, are requested repeatedly."""
 _KEPT = 512
 
 _LAST = 8
@@ -503,7 +507,9 @@ class LikeLog:
 
     @cached_property
     def _means(self) -> tuple[tuple[int, int, Reals], ...]:
-        """Return the phases at rest, each with the mean force and rate (6,) of the track's rows in it."""
+        """Return the phases at rest, each with the mean force and rate (6,) of the track's rows in it; phases without
+        rows are omitted.
+        """
         _, track = self._track
         if not self.rests or track is None or track.specific_force is None or track.angular_rate is None:
             return ()
@@ -565,7 +571,7 @@ def _average(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats]
 
 
 def _changes(degc: Reals) -> bool:
-    """Return True if averaged readings (k,) of a thermometer change beyond noise, or are too few to decide."""
+    """Return True if averaged readings (k,) of a thermometer change by more than noise, or are too few to decide."""
     if len(degc) < _FEW_READINGS:
         return True
     noise = math.sqrt(float(np.mean(np.diff(degc, n=2) ** 2)) / 6)  # expected for independent readings

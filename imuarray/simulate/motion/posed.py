@@ -29,13 +29,15 @@ class PoseAttitude(NamedTuple):
 
 
 _EDGE_NS, _EDGE_TIMES = 100_000_000, 10
-"""Time in ns at either end of a movement over which the force is averaged, and the number of instants in it."""
+"""Time in ns at the start or end of a movement over which the force is averaged, and the number of instants in it."""
 
 _TURN_STEP_NS = 20_000_000
 """Step in ns by which the attitude is integrated during a movement."""
 
 _MOST_APART_NS = 100_000_000
-"""Longest time in ns between a movement and the rest around it; the box does not turn within 0.1 s."""
+"""Longest time in ns between a movement and the rest before or after it; the box is assumed not to turn within a tenth
+of a second.
+"""
 
 _SAME_COSINE = float(np.cos(np.radians(10.0)))
 """Cosine of the largest angle between the two upward directions that are integrated from either end of a movement. If
@@ -43,11 +45,13 @@ they differ by more, the rates are clipped, or the box did not turn between thes
 """
 
 _LARGEST_STEP = 1.5
-"""Largest step of the force, in m/s2, that is attributed to errors of the sensors, from their tolerances."""
+"""Largest step of the force, in m/s2, that is attributed to errors of the sensors; their tolerances are less."""
 
 
 class Movement(NamedTuple):
-    """A motion of the box from `start_ns` to `end_ns`: `columns` are force (3) in m/s2 and rate (3) in rad/s, box."""
+    """A motion of the box from `start_ns` to `end_ns`: `columns` are the force (3) in m/s2 and the rate (3) in rad/s in
+    the box frame.
+    """
 
     start_ns: int
     end_ns: int
@@ -113,7 +117,7 @@ class PoseSequence:
 
     @cached_property
     def _ups_in_movements(self) -> dict[int, tuple[Integers, Reals]]:
-        """Return, by the beginning of each movement between known attitudes, instants (s,) and up vectors (s, 3)."""
+        """Return instants (s,) and upward directions (s, 3) by the start of each movement between known attitudes."""
         ups: dict[int, tuple[Integers, Reals]] = {}
         up_of = {attitude.phase: attitude.up_box for attitude in self.attitudes}
         for movement in self.movements:
@@ -233,7 +237,9 @@ _LEAST_SINE = float(np.finfo(float).tiny)
 
 
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:
-    """Return (k, 3, 3) the attitudes in which these directions of the box are up, by the shortest turn from upright."""
+    """Return (k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from
+    upright (half a turn is about X).
+    """
     from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
     ups = np.asarray(up_box, float)

@@ -36,7 +36,9 @@ class Motion(Protocol):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The phases that an observer with a stopwatch would note, in order; the last may end later than a log."""
+        """The phases that an observer with a stopwatch would note, in order and without overlap; the last may end later
+        than a log.
+        """
 
     @property
     def seconds(self) -> float:
@@ -64,5 +66,7 @@ class MotionVariant:
 
 
 def thermometer_lag_s(motion: Motion) -> float:
-    """Return the lag, in s, of the thermometer that gives the temperature of a motion (`lead_s`), default 0."""
+    """Return the lag, in s, of the thermometer by which the temperature of a motion is known (`lead_s`); 0 for motions
+    that state none.
+    """
     return float(getattr(motion, "lead_s", 0.0))

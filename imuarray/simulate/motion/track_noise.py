@@ -21,13 +21,17 @@ noise alone rarely exceeds this multiple.
 """
 
 _NEAR_BINS = 3
-"""Nearest bins whose mean power must exceed noise, too: noise around a pendulum's frequency is no motion."""
+"""Number of nearest bins whose mean power has to exceed the noise, too: a pendulum moves at a single frequency, and the
+noise of the bins around it is no motion.
+"""
 
 _FEWEST_ROWS = 64
 """Minimum number of rows of a stretch, both for estimating the noise and for reducing it."""
 
 _EVEN = 1.5
-"""Largest ratio of an interval of a stretch to its median interval. Above it, noise is not reduced."""
+"""Largest ratio of an interval of a stretch to its median interval. If one is longer, rows are not evenly spaced and
+the noise is not reduced.
+"""
 
 
 def without_track_noise(time_ns: Integers, columns: Reals, rests: Sequence[tuple[int, int]]) -> Reals:

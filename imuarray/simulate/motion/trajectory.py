@@ -184,7 +184,7 @@ class _Cells(NamedTuple):
 
 
 def load_trajectory(path: str | PathLike[str]) -> Trajectory | StimulusRows:
-    """Return the motion that the file describes; SourceError, in one line, names line and column."""
+    """Return the motion that the file describes; SourceError, in one line, names the unreadable line and column."""
     from imuarray.importers.cells import TimeColumn  # importers are loaded only if a file is read
 
     cells = _read(Path(path))

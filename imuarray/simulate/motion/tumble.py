@@ -124,7 +124,7 @@ class Tumble:
         return (self._period_ns - self._face_ns) * 1e-9
 
     def _progress(self, time_ns: Integers) -> tuple[Integers, Reals]:
-        """Return (n,) the number of the face last up, and (n,) the elapsed share of the turn away from it."""
+        """Return (n,) the number of the face that is or was last up, and (n,) the share of the turn away from it."""
         since_ns = np.clip(time_ns, 0, LAST * self._period_ns)
         index = since_ns // self._period_ns
         turning_ns = since_ns - index * self._period_ns - self._face_ns

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 GOING_SHARE = 0.2
 BRAKING_SHARE = 0.15
 BENDS = ((0.15, 0.45, 1.0), (0.50, 0.88, -1.0))
-"""Beginning and end of each bend as shares of the drive, and direction (1: left); it accelerates and brakes in them."""
+"""Beginning and end of each bend as shares of the drive, and its direction: 1 is left. The vehicle still accelerates in
+the first bend, and brakes in the second.
+"""
 
 BEND_RAMP = 0.3
 """Share of a bend during which its curvature increases; it decreases during an equal share at the end."""
@@ -130,7 +132,7 @@ class Vehicle(MotionBetweenRests):
         return heave, EulerAngles(roll + lean, pitch - back, np.array([yaw, w, w1]))
 
     def _road(self, seconds: Reals, pace: Reals, pace1: Reals, pace2: Reals) -> Reals:
-        """Return (3, 3, n): heave in m, roll and pitch in rad, with two derivatives, in proportion to `pace` (n,)."""
+        """Return (3, 3, n): heave in m, roll and pitch in rad, each with two derivatives, scaled by `pace` (n,)."""
         hertz, sines, cosines = self._sines
         free, slope, bend = np.zeros((3, 3, len(seconds)))
         for number, omega in enumerate(2 * math.pi * hertz):
@@ -145,7 +147,9 @@ class Vehicle(MotionBetweenRests):
 
     @cached_property
     def _sines(self) -> tuple[Reals, Reals, Reals]:
-        """Return (8,) frequencies and (3, 8) amplitudes of sines and cosines: heave in m, roll and pitch in rad."""
+        """Return (8,) frequencies in Hz and (3, 8) amplitudes of the sines and of the cosines, with heave in m, roll
+        and pitch in rad.
+        """
         generator = np.random.default_rng([self.seed, 3])
         low, high = ROAD_HZ[:-1], ROAD_HZ[1:]
         hertz = low * (high / low) ** generator.random(len(low))
