@@ -189,7 +189,7 @@ class Provenance:
     temperature_degc: Number | None = None
 
 
-Described = SensorLog | SensorHeader
+SensorDescription = SensorLog | SensorHeader
 """A sensor as a log describes it: with its recorded rows, or its header alone."""
 
 FORMAT_VERSION = 1
@@ -383,7 +383,7 @@ class Calibration:
         """
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
-    def of(self, sensor: Described) -> SensorCalibration:
+    def of(self, sensor: SensorDescription) -> SensorCalibration:
         """Return the calibration of `sensor`; an empty calibration returns the data sheet's values. CalibrationError if
         the calibration does not fit the sensor, or contains other sensors only.
         """
@@ -394,7 +394,7 @@ class Calibration:
             )
         return self.or_nominal(sensor)
 
-    def or_nominal(self, sensor: Described) -> SensorCalibration:
+    def or_nominal(self, sensor: SensorDescription) -> SensorCalibration:
         """Return the calibration of `sensor`, or the data sheet's values (no bias, the configured axes) if there is
         none. CalibrationError if the calibration does not fit the sensor.
         """
@@ -419,7 +419,7 @@ class Calibration:
             )
         return stored
 
-    def scales(self, sensors: Iterable[Described]) -> dict[str, list[float]]:
+    def scales(self, sensors: Iterable[SensorDescription]) -> dict[str, list[float]]:
         """Return the counts per unit of each axis (3,), by name, of those `sensors` that the calibration contains.
         CalibrationError if it does not fit one of them.
         """
@@ -491,7 +491,7 @@ class Calibration:
         write_text(path, self.to_toml(), force=force)
 
 
-def nominal(sensor: Described) -> SensorCalibration:
+def nominal(sensor: SensorDescription) -> SensorCalibration:
     """Return the calibration of a triad according to its data sheet and its configured axes; CalibrationError for a
     sensor without a sensitivity.
     """

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.model import Described
+from imuarray.calibrate.model import SensorDescription
 from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.columns import NamedColumn
@@ -43,7 +43,7 @@ WITHOUT_ZERO = ("l3g4200d",)
 """Chips whose thermometer measures changes only (L3G-60)."""
 
 
-def degc_of(sensor: Described) -> tuple[float, float] | None:
+def degc_of(sensor: SensorDescription) -> tuple[float, float] | None:
     """Return degrees at count 0 and degrees per count of a sensor's own thermometer, as its log states or else the data
     sheet of its chip; None if it has no thermometer, or neither states it.
     """
@@ -54,7 +54,7 @@ def degc_of(sensor: Described) -> tuple[float, float] | None:
     return None if scale is None else (scale.zero_degc, 1 / scale.lsb_per_degc)
 
 
-def has_zero(sensor: Described) -> bool:
+def has_zero(sensor: SensorDescription) -> bool:
     """Return whether a sensor's thermometer measures absolute temperature, and not only changes."""
     return sensor.thermometer is not None or sensor.chip not in WITHOUT_ZERO
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.model import BIAS, Described, Thermal
+from imuarray.calibrate.model import BIAS, SensorDescription, Thermal
 from imuarray.calibrate.segments import TemperatureSeries, degc_of, has_zero, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.fuse.alignment import ElementTemperature
@@ -39,7 +39,7 @@ SCALE_PER_DEGC = 1.6e-4
 _OF_THE_BOX = ("barometer", "reference")
 
 
-def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
+def slopes_of(calibration: Calibration, sensor: SensorDescription) -> Thermal | None:
     """Return the slopes of a sensor's bias; None if none were measured, or if no axis has a slope of bias."""
     thermal = calibration.or_nominal(sensor).thermal
     return thermal if thermal is not None and BIAS in thermal.meaning else None
@@ -337,7 +337,11 @@ class TemperatureSources:
 
 
 def causal_temperatures(
-    all_sensors: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
+    all_sensors: Sequence[SensorDescription],
+    sensors: Iterable[SensorDescription],
+    calibration: Calibration,
+    *,
+    of_all: bool = False,
 ) -> TemperatureSources:
     """Return element temperatures as `element_temperatures` does, from rows before a frame only: the barometer, the
     chip's own thermometer, or that of another chip among `all_sensors`. A reference is known only afterwards and not
@@ -362,7 +366,7 @@ def causal_temperatures(
     return TemperatureSources(elements, feeds, delays_s)
 
 
-def _source(all_sensors: Sequence[Described], sensor: Described) -> Described | None:
+def _source(all_sensors: Sequence[SensorDescription], sensor: SensorDescription) -> SensorDescription | None:
     """Return the best thermometer for a sensor."""
     barometers = [other for other in all_sensors if other.quantity == "pressure" and _compensates(other)]
     chips = [other for other in all_sensors if degc_of(other) is not None]
@@ -370,20 +374,20 @@ def _source(all_sensors: Sequence[Described], sensor: Described) -> Described | 
     return next(iter([*barometers, *chips]), None)
 
 
-def _kind(source: Described) -> str:
+def _kind(source: SensorDescription) -> str:
     """Return the kind of a sensor's thermometer, one of `model.THERMOMETERS`."""
     if source.quantity == "pressure":
         return "barometer"
     return "chip" if has_zero(source) else "relative"
 
 
-def _compensates(sensor: Described) -> bool:
+def _compensates(sensor: SensorDescription) -> bool:
     return (
         sensor.has_compensated("temperature") if isinstance(sensor, SensorLog) else "temperature" in sensor.compensated
     )
 
 
-def _feed(thermometer: CausalThermometer, source: Described) -> Callable[[Block], None]:
+def _feed(thermometer: CausalThermometer, source: SensorDescription) -> Callable[[Block], None]:
     """Return the function that adds the temperatures of a sensor's rows."""
     if source.quantity == "pressure":
         return lambda block: thermometer.add(block.time, np.asarray(block.compensated["temperature"], float))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.model import Described
+from imuarray.calibrate.model import SensorDescription
 from imuarray.fuse.response_change import response_shares
 from imuarray.units import SI_PER_UNIT
 
@@ -65,7 +65,7 @@ class Axis:
         return f"{self.sensor} {'xyz'[self.index]}"
 
 
-def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis]:
+def axes_of(sensors: Sequence[SensorDescription], calibration: Calibration) -> list[Axis]:
     """Return every axis of `sensors`, in order."""
     axes = []
     for sensor in sensors:

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.model import Described
+from imuarray.calibrate.model import SensorDescription
 from imuarray.fuse.alignment import (
     FIRST_ROWS,
     FOREVER_NS,
@@ -190,7 +190,7 @@ class FusionStream(Generic[Out]):
 
     def __init__(
         self,
-        sensors: Mapping[str, Sequence[Described]],
+        sensors: Mapping[str, Sequence[SensorDescription]],
         calibration: Calibration,
         factory: Callable[[float], Pipeline[Out]],
         temperatures: TemperatureSources,

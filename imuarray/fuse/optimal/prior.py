@@ -24,7 +24,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.model import BIAS, Described, TurnOn
+from imuarray.calibrate.model import BIAS, SensorDescription, TurnOn
 from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import Axis
@@ -166,7 +166,7 @@ UNWATCHED_S = 1000.0
 
 
 def error_model(
-    sensors: Sequence[Described], calibration: Calibration, *, watched: Container[str] | None = None
+    sensors: Sequence[SensorDescription], calibration: Calibration, *, watched: Container[str] | None = None
 ) -> ErrorModel:
     """Return the errors of the inertial `sensors` of a log after `calibration`.
 
