@@ -30,11 +30,19 @@ from imuarray.fuse.element_temperature import (
     with_mismatch,
 )
 from imuarray.fuse.faults import FaultEvent, Ranges
-from imuarray.fuse.faults.monitor import MaskedPipeline, MonitoredPipeline
+from imuarray.fuse.faults.monitor import MonitoredPipeline
 from imuarray.fuse.frames import Axis, Frames, FusedBlock, axes_of
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
-from imuarray.fuse.pipeline import FusionNotes, Pipeline, PipelineFactory, QuantityPipeline, TechniqueSet, notes_of
+from imuarray.fuse.pipeline import (
+    FusionNotes,
+    ObservedPipeline,
+    Pipeline,
+    PipelineFactory,
+    QuantityPipeline,
+    TechniqueSet,
+    notes_of,
+)
 from imuarray.fuse.response_change import RESPONSE_CHANGE, with_response_change
 from imuarray.fuse.spools import FrameSpool
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
@@ -443,7 +451,7 @@ def _smoothed(
 
     def factory(period_s: float) -> Pipeline[FrameBlock]:
         supervised.append(array.supervised(FramePipeline(), axes, period_s))
-        return _ObservedPipeline(supervised[0], observe)
+        return ObservedPipeline(supervised[0], observe)
 
     def first_pass() -> Iterator[FrameBlock]:
         stream = array.stream(factory, temperatures)
@@ -451,14 +459,13 @@ def _smoothed(
 
     def second_pass() -> Iterator[FrameBlock]:
         first = supervised[0]  # faults are detected and reported once
-        inner: Pipeline[FrameBlock] = FramePipeline()
-        again = MaskedPipeline(inner, first.left_out) if isinstance(first, MonitoredPipeline) else inner
+        left_out = first.left_out if isinstance(first, MonitoredPipeline) else {}
         frames_done = 0
         for frames, degc in spool.blocks():
+            used = {name: left_out[name].of(part, frames_done) if left_out else part for name, part in frames.items()}
             frames_done += len(next(iter(frames.values())).time)
             callbacks.progress(_FIRST_PASS + (1 - _FIRST_PASS) * frames_done / spool.frames)
-            yield from again(frames, degc)
-        yield from again.finish()
+            yield used, degc
 
     def with_remarks(notes: FusionNotes) -> None:
         first = supervised[0]
@@ -468,23 +475,6 @@ def _smoothed(
     with closing(FrameSpool()) as spool:
         passes = iter((first_pass, second_pass))
         yield from smoothed(lambda: next(passes)(), axes, model, period_s, with_remarks)
-
-
-class _ObservedPipeline:
-    """A `Pipeline` whose input is passed to `observe` first."""
-
-    def __init__(
-        self,
-        inner: Pipeline[FrameBlock],
-        observe: Callable[[Mapping[str, Frames], Mapping[str, Floats]], None],
-    ) -> None:
-        self._inner, self._observe = inner, observe
-        self.finish = inner.finish
-
-    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
-        """See `Pipeline`."""
-        self._observe(frames, degc)
-        yield from self._inner(frames, degc)
 
 
 def _period_s(array: _Array[SensorLog]) -> float:

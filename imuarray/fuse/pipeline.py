@@ -64,6 +64,7 @@ def notes_of(pipeline: object) -> FusionNotes:
     return pipeline.notes() if isinstance(pipeline, NoteSource) else FusionNotes()
 
 
+Out = TypeVar("Out")
 Out_co = TypeVar("Out_co", covariant=True)
 
 
@@ -79,8 +80,8 @@ class Pipeline(Protocol[Out_co]):
         ...
 
     def finish(self) -> Iterator[Out_co]:
-        """Return the remaining results."""
-        ...
+        """Return the remaining results; there are none unless a pipeline holds frames back."""
+        return iter(())
 
 
 PipelineFactory = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
@@ -89,7 +90,7 @@ sufficient.
 """
 
 
-class QuantityPipeline:
+class QuantityPipeline(Pipeline[FusedBlock]):
     """A technique applied to each quantity separately, and nothing else: a stream may compute the same faster."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
@@ -103,15 +104,11 @@ class QuantityPipeline:
         }
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
-        """See `Pipeline`; nothing is held back."""
+        """See `Pipeline`."""
         time = next(iter(frames.values())).time
         yield fused_block(
             time, {quantity: self.techniques[quantity](part) for quantity, part in frames.items()}, self.axes
         )
-
-    def finish(self) -> Iterator[FusedBlock]:
-        """Return nothing: no frame is held back."""
-        return iter(())
 
     def notes(self) -> FusionNotes:
         """Return the remarks of the techniques."""
@@ -122,7 +119,7 @@ class QuantityPipeline:
         return FusionNotes(remarks=remarks)
 
 
-class TechniqueSet:
+class TechniqueSet(Pipeline[dict[str, FusedBlock]]):
     """A `Pipeline` of several techniques, each applied to each quantity separately: yields blocks by technique."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], names: Sequence[str]) -> None:
@@ -130,15 +127,33 @@ class TechniqueSet:
         self._each = {name: QuantityPipeline(axes, name) for name in names}
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[dict[str, FusedBlock]]:
-        """See `Pipeline`; nothing is held back."""
+        """See `Pipeline`."""
         yield {name: next(each(frames, degc)) for name, each in self._each.items()}
 
-    def finish(self) -> Iterator[dict[str, FusedBlock]]:
-        """Return nothing: no frame is held back."""
-        return iter(())
+
+class ObservedPipeline(Pipeline[Out]):
+    """A pipeline before which `observe` is called with each block of frames and their temperatures."""
+
+    def __init__(
+        self, inner: Pipeline[Out], observe: Callable[[Mapping[str, Frames], Mapping[str, Floats]], None]
+    ) -> None:
+        self._inner, self._observe = inner, observe
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
+        """See `Pipeline`."""
+        self._observe(frames, degc)
+        yield from self._inner(frames, degc)
+
+    def finish(self) -> Iterator[Out]:
+        """See `Pipeline`."""
+        return self._inner.finish()
+
+    def notes(self) -> FusionNotes:
+        """Return the notes of the inner pipeline."""
+        return notes_of(self._inner)
 
 
-class ComparisonPipeline:
+class ComparisonPipeline(ObservedPipeline[FusedBlock]):
     """A `Pipeline` of a technique applied to each quantity separately, and of another technique on the same frames:
     `observe` is called with the other's block before the technique's is returned.
     """
@@ -147,21 +162,8 @@ class ComparisonPipeline:
         self, axes: Mapping[str, Sequence[Axis]], technique: str, other: str, observe: Callable[[FusedBlock], None]
     ) -> None:
         """FusionError as `QuantityPipeline`."""
-        self._technique, self._other = QuantityPipeline(axes, technique), QuantityPipeline(axes, other)
-        self._observe = observe
-
-    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
-        """See `Pipeline`; nothing is held back."""
-        self._observe(next(self._other(frames, degc)))
-        yield from self._technique(frames, degc)
-
-    def finish(self) -> Iterator[FusedBlock]:
-        """Return nothing: no frame is held back."""
-        return iter(())
-
-    def notes(self) -> FusionNotes:
-        """Return the remarks of the technique."""
-        return self._technique.notes()
+        compared = QuantityPipeline(axes, other)
+        super().__init__(QuantityPipeline(axes, technique), lambda frames, degc: observe(next(compared(frames, degc))))
 
 
 def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:

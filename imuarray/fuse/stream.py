@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +43,7 @@ from imuarray.fuse.alignment import (
 from imuarray.fuse.element_temperature import TemperatureSources
 from imuarray.fuse.frames import Axis, Estimate, Frames
 from imuarray.fuse.least_squares import ConstantGain, FixedWeights, consensus, frame_gains
-from imuarray.fuse.pipeline import Pipeline, QuantityPipeline, fused_block
+from imuarray.fuse.pipeline import Out, Pipeline, QuantityPipeline, fused_block
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
@@ -168,8 +168,6 @@ def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | 
         result.append(block.counts[rows])
     return result
 
-
-Out = TypeVar("Out")
 
 TIMEOUT_S = 3.0
 """Longest time in s to wait for a sensor; a recording writes its rows once per second."""

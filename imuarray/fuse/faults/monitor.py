@@ -4,15 +4,13 @@ Frames are processed in decision windows of a tenth of a second, counted from th
 blocks have no effect. Frames are returned one window late, so that a faulty axis is excluded from the window in which
 the fault is detected and from the one before, in which it may have begun.
 
-`MonitoredPipeline` puts monitors before another pipeline. `MaskedPipeline` passes the frames of a log to a pipeline a
-second time, without the axes that were excluded the first time.
+`MonitoredPipeline` puts monitors before another pipeline.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -25,7 +23,7 @@ from imuarray.fuse.faults.fault_isolation import FaultIsolation
 from imuarray.fuse.faults.window import DecisionWindow, lever_arms
 from imuarray.fuse.frames import Axis, Frames, directions
 from imuarray.fuse.least_squares import consensus
-from imuarray.fuse.pipeline import FusionNotes, Pipeline, notes_of
+from imuarray.fuse.pipeline import FusionNotes, Out, Pipeline, notes_of
 
 WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""
@@ -202,12 +200,10 @@ def _check(axes: Sequence[Axis], period_s: float) -> None:
         raise FusionError(f"period_s: {period_s}; it must be above 0")
 
 
-Out = TypeVar("Out")
-
 _RATE = "angular_rate"
 
 
-class MonitoredPipeline(Generic[Out]):
+class MonitoredPipeline(Pipeline[Out]):
     """A fault monitor of each quantity before another pipeline; both monitors use the same windows, so that they return
     the same frames. `report` is called with each event when it is detected.
     """
@@ -289,20 +285,3 @@ class MonitoredPipeline(Generic[Out]):
             for event in monitor.events[self._reported[quantity] :]:
                 self._report(event)
             self._reported[quantity] = len(monitor.events)
-
-
-class MaskedPipeline(Generic[Out]):
-    """A pipeline that processes the frames of a log again, without the axes that were excluded the first time."""
-
-    def __init__(self, inner: Pipeline[Out], left_out: Mapping[str, ExclusionMasks]) -> None:
-        self._inner, self._left_out, self._first = inner, left_out, 0
-
-    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
-        """See `Pipeline`."""
-        first = self._first
-        self._first += len(next(iter(frames.values())).time)
-        yield from self._inner({name: self._left_out[name].of(part, first) for name, part in frames.items()}, degc)
-
-    def finish(self) -> Iterator[Out]:
-        """See `Pipeline`."""
-        return self._inner.finish()

@@ -38,7 +38,7 @@ from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, geometry_of, hold_last, readings_of
 from imuarray.fuse.optimal.prior import ErrorModel
 from imuarray.fuse.optimal.states import states_of
-from imuarray.fuse.pipeline import FusionNotes, LearnedBias, fused_block
+from imuarray.fuse.pipeline import FusionNotes, LearnedBias, Pipeline, fused_block
 
 FASTEST = 300.0
 """Prior standard deviation of the angular acceleration in rad/s2: a turn at 1000 dps reversed in 0.1 s has 350."""
@@ -373,8 +373,8 @@ FrameBlock = tuple[Mapping[str, Frames], Mapping[str, Floats]]
 """Frames by quantity, and the temperatures of elements by sensor."""
 
 
-class CausalPipeline:
-    """A causal `Optimal` as a `Pipeline`; nothing is held back."""
+class CausalPipeline(Pipeline[FusedBlock]):
+    """A causal `Optimal` as a `Pipeline`."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], model: ErrorModel, period_s: float) -> None:
         """FusionError for axes that are not in the model."""
@@ -385,25 +385,17 @@ class CausalPipeline:
         """See `Pipeline`."""
         yield fused_block(next(iter(frames.values())).time, self._optimal(frames, degc), self._axes)
 
-    def finish(self) -> Iterator[FusedBlock]:
-        """Return nothing: no frame is held back."""
-        return iter(())
-
     def notes(self) -> FusionNotes:
         """Return the slow errors of every axis at the last frame."""
         return FusionNotes(self._optimal.learned())
 
 
-class FramePipeline:
+class FramePipeline(Pipeline[FrameBlock]):
     """A `Pipeline` that returns its frames unchanged."""
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
         """See `Pipeline`."""
         yield frames, degc
-
-    def finish(self) -> Iterator[FrameBlock]:
-        """Return nothing: no frame is held back."""
-        return iter(())
 
 
 def smoothed(
