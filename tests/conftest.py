@@ -65,6 +65,9 @@ HERE = Path(__file__).parent
 SHARED = {
     "tests/gap/effects/": "replicates of the small campaigns",
     "tests/firmware/": "compiled firmware",
+    "tests/emulator/test_serial_firmware.py": "compiled firmware",
+    "tests/acquire/test_serial_queue.py": "compiled firmware",
+    "tests/acquire/test_stream_queue.py": "compiled firmware",
     "tests/report/": "Matplotlib",
     "tests/characterise/test_plots.py": "Matplotlib",
     "tests/characterise/test_scale.py": "Matplotlib",
@@ -129,3 +132,28 @@ def _same_priority() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "nice", lambda increment: 0, raising=False)
         yield
+
+
+@pytest.fixture(scope="session")
+def core_firmware(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The firmware's core in C, compiled once a session, with the interface of the emulated firmware."""
+    from tests.firmware import build
+
+    if build.COMPILER is None:
+        pytest.skip(build.NO_COMPILER)
+    build.CoreFirmware.core = build.library(tmp_path_factory.mktemp("firmware"))
+    return build.CoreFirmware
+
+
+@pytest.fixture
+def firmware_kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The firmware of both benches: "emulated", or its "core" (`tests.firmware.kinds`). Its clock is the emulator's, so
+    that every run is the same.
+    """
+    from tests.bus import serial_bench
+    from tests.emulator import firmware_bench
+
+    if request.param == "core":
+        core = request.getfixturevalue("core_firmware")
+        monkeypatch.setattr(serial_bench, "Firmware", core)
+        monkeypatch.setattr(firmware_bench, "Firmware", core)

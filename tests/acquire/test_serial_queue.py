@@ -12,6 +12,7 @@ from imuarray.acquire.stream import streams
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus.serial_link import MAX_PAYLOAD
 from tests.bus.serial_bench import Bench
+from tests.firmware.kinds import both_kinds
 
 MS = 1_000_000
 QUEUES = {  # place, register (with the bit that reads of SPI), range of each half, rate, milliseconds that it lasts
@@ -36,6 +37,7 @@ def array_of(name: str) -> ArrayConfig:
 QUICK = ("icm42688 in 20 bits", "mpu9250")
 
 
+@both_kinds()
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow, id=name) for name in QUEUES]
 )

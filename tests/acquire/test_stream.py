@@ -26,11 +26,13 @@ from imuarray.errors import BusUrlError
 from imuarray.log import open_log
 from tests.acquire.streams import LOST, OVERRUN, RECONFIGURED, SUSPECT, S, events, logged, on_the_wire, stream
 from tests.bus.serial_bench import Bench
+from tests.firmware.kinds import both_kinds
 from tests.selection import some
 
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 def test_the_log_of_the_papers_array_equals_the_bytes_on_the_wire(tmp_path: Path) -> None:
     array = load_array(SHIPPED)
@@ -108,6 +110,7 @@ def test_a_bad_line_loses_readings_and_never_invents_any(
     assert {kind for _, kind, _ in events(tmp_path / "r.h5")} == {"lost"}
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 def test_a_sensor_that_is_unplugged_for_a_while_is_logged_again(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
@@ -195,6 +198,7 @@ def test_a_reset_is_reported_within_a_second(tmp_path: Path) -> None:
     assert event.time_ns + start_ns - reset_ns[0] < 1.0 * S
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 def test_the_stream_restarts_after_a_reset_of_the_microcontroller(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
@@ -220,6 +224,7 @@ def test_the_stream_restarts_after_a_reset_of_the_microcontroller(
     assert len(time) + summary.lost["G"] == pytest.approx(800, abs=2)
 
 
+@both_kinds(pytest.mark.slow)
 def test_the_stream_restarts_after_the_port_is_unplugged_and_plugged_in(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
@@ -237,6 +242,7 @@ def test_the_stream_restarts_after_the_port_is_unplugged_and_plugged_in(
     assert summary.frames == 800
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 def test_a_recording_ends_also_when_the_port_stays_unplugged(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
@@ -270,6 +276,7 @@ def test_unplugging_after_the_last_frame_loses_nothing(
     assert len(logged(tmp_path / "r.h5", "A")[0]) == 400
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 def test_readings_missed_until_a_stop_while_unplugged_are_counted(
     an_array: Callable[..., ArrayConfig], tmp_path: Path

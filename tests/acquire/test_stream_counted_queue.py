@@ -22,6 +22,7 @@ from imuarray.log import open_log
 from tests.acquire.clock_world import SPAN_G, ClockElement
 from tests.acquire.streams import LOST, MS, OVERRUN, RECONFIGURED, SUSPECT, BadLine, S, events, stream
 from tests.bus.serial_bench import Bench
+from tests.firmware.kinds import both_kinds
 from tests.selection import some
 
 DIES = {  # place, rate, share by which the oscillator is fast
@@ -83,6 +84,7 @@ def check(
     return gaps
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize("die", EVERY_DIE)
 def test_every_sample_is_logged_at_its_time(die: str, tmp_path: Path) -> None:
@@ -107,6 +109,7 @@ def test_one_half_alone_is_streamed(die: str, half: str, tmp_path: Path) -> None
     check(die, tmp_path / "r.h5", start_ns, summary, sensors=(half,))
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
 @pytest.mark.parametrize("seed", some(range(4), 1, 1))
@@ -120,6 +123,7 @@ def test_a_bad_line_invents_no_samples(seed: int, die: str, tmp_path: Path) -> N
     assert (gaps > 0) == any(summary.lost.values())  # none where the firmware sends lost frames again
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
 @pytest.mark.parametrize("held_ms", some([15, 400], 1, 0))
@@ -143,6 +147,7 @@ def test_a_counted_queue_bridges_a_short_pause_of_the_microcontroller(held_ms: i
         assert log["acc"].time[-1] > 5.5 * S
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
 @pytest.mark.parametrize("errno", some([121, 110], 1, 0))

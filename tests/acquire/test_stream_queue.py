@@ -33,6 +33,7 @@ from tests.acquire.streams import (
     stream,
 )
 from tests.bus.serial_bench import Bench
+from tests.firmware.kinds import both_kinds
 from tests.selection import some
 
 BURST = b"\xad"  # register 2D, flags, with the bit that reads (TDK-70); count and packets follow
@@ -132,6 +133,7 @@ def check(
         assert summary.lost[sensor.name] == pytest.approx(missing, abs=1 + int(is_after_gap.sum()))
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("frames_hz", "drift"), some([(20, -1e-3), (10, 0.0), (50, 2e-4), (1000, -2e-4), (33, 1e-3)], 1, 1)
@@ -201,6 +203,7 @@ def test_packets_of_high_resolution_are_decoded(tmp_path: Path) -> None:
     assert counts[:, 0].tolist() == x[begin : begin + len(counts)]
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(4), 1, 1))
 def test_a_bad_line_loses_packets_and_never_invents_any(seed: int, tmp_path: Path) -> None:
@@ -231,6 +234,7 @@ def test_an_interruption_of_the_link_is_a_gap_of_known_length(tmp_path: Path) ->
         assert np.count_nonzero(logged(tmp_path / "r.h5", sensor.name)[2] & LOST) == 1
 
 
+@both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize(("held_ms", "is_lost"), [(90, False), (400, True)])
 def test_the_queue_bridges_a_short_pause_of_the_microcontroller(held_ms: int, is_lost: bool, tmp_path: Path) -> None:
@@ -254,6 +258,7 @@ def test_the_queue_bridges_a_short_pause_of_the_microcontroller(held_ms: int, is
         assert ("I0_acc", "lost", "no reading: the chip's queue ran over") in events(tmp_path / "r.h5")
 
 
+@both_kinds()
 def test_packets_that_arrive_during_the_burst_are_kept(tmp_path: Path) -> None:
     """More packets than were counted: the count is lowered by one packet where there is one."""
     array = array_of(1, rate_hz=500)
@@ -351,6 +356,7 @@ def test_a_chip_that_was_reset_is_set_up_again(tmp_path: Path) -> None:
     assert ("I0_acc", "configuration") in reports or ("I0_gyro", "configuration") in reports
 
 
+@both_kinds()
 @pytest.mark.slow
 def test_the_stream_restarts_after_a_reset_of_the_microcontroller(tmp_path: Path) -> None:
     array = array_of(2)

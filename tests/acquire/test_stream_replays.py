@@ -18,6 +18,7 @@ from imuarray.array import ArrayConfig
 from imuarray.log import open_log
 from tests.acquire.streams import LOST, MS, SUSPECT, events, logged, on_the_wire, stream
 from tests.bus.serial_bench import Bench
+from tests.firmware.kinds import both_kinds
 from tests.selection import some
 
 RATE_HZ, SECONDS = 100.0, 4.0
@@ -137,6 +138,7 @@ def a_shuffled_span(tape: Tape, draw: np.random.Generator) -> Injection:
 REPLAYS = [one_old_frame, the_last_frame_again, a_recent_span, recent_bytes, a_shuffled_span]
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 @pytest.mark.parametrize("inject", some(REPLAYS, 1))
 @pytest.mark.parametrize("counter_us", some([(1 << 32) - 3_000_000, 70_000_000], 1))  # it wraps after 3 s

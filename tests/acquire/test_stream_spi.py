@@ -16,6 +16,7 @@ from imuarray.array import ArrayConfig, parse_array
 from imuarray.errors import BusUrlError, SensorError
 from tests.acquire.streams import LOST, OVERRUN, RECONFIGURED, SUSPECT, S, logged, stream
 from tests.bus.serial_bench import Bench
+from tests.firmware.kinds import both_kinds
 from tests.selection import some
 
 ICM42688 = 'chip="icm42688"\nrate_hz=1000\nbandwidth_hz=100\n'
@@ -51,6 +52,7 @@ def check_as_on_the_wire(bench: Bench, path: Path, start_ns: int, select_of: dic
             assert not (status & (LOST | SUSPECT | RECONFIGURED | OVERRUN)).any()
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.parametrize("selects", some([((0, 1),), ((5, 2),)], 1))
 def test_the_log_of_two_chips_equals_the_bytes_on_the_wires(tmp_path: Path, selects: tuple[int, ...]) -> None:
     array = array_of(2, lambda chip: selects[chip])
@@ -60,6 +62,7 @@ def test_the_log_of_two_chips_equals_the_bytes_on_the_wires(tmp_path: Path, sele
     check_as_on_the_wire(bench, tmp_path / "r.h5", start_ns, {"I0": selects[0], "I1": selects[1]})
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.campaign
 def test_eight_chips_at_1_khz_are_streamed(tmp_path: Path) -> None:
     array = array_of(8)
@@ -90,6 +93,7 @@ def test_a_chip_select_that_does_not_exist_is_refused(selects: int, path: str) -
         connect(array, bus)
 
 
+@both_kinds(pytest.mark.slow)
 @pytest.mark.slow
 def test_after_a_reset_the_chip_selects_are_set_again(tmp_path: Path) -> None:
     array = array_of(1)

@@ -3,91 +3,32 @@
 from __future__ import annotations
 
 import struct
-import zlib
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_emulator.clock import VirtualClock
-from firmware_emulator.serial_firmware import LISTS, REQUEST_BYTES, Firmware
-
-MS, US = 1_000_000, 1000
-TRANSACTION_NS = 100 * US
-
-
-class Board:
-    """Answers 0, 1, 2, ... at address 0x53, after a tenth of a millisecond; fails as configured."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        self.clock = clock
-        self.asked: list[tuple[int, bytes, int]] = []
-        self.failures: list[int] = []
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        if address > 0x7F:
-            raise ValueError(f"{address:#x}")
-        self.asked.append((address, write, read))
-        self.clock.advance(TRANSACTION_NS)
-        if self.failures and (number := self.failures.pop(0)):
-            raise OSError(number, "as told")
-        if address != 0x53:
-            raise OSError(121, "nobody")
-        return bytes(range(read))
-
-
-def bench(**given: Any) -> tuple[Firmware, Board, VirtualClock]:
-    clock = VirtualClock(5 * MS)
-    board = Board(clock)
-    return Firmware(board, clock, **given), board, clock
-
-
-def framed(kind: int, sequence: int, payload: bytes = b"") -> bytes:
-    body = struct.pack("<HBHI", len(payload), kind, sequence, 0) + payload
-    return b"\xa5\x5a" + body + struct.pack("<I", zlib.crc32(body))
-
-
-def frame_fields(frame: bytes) -> tuple[int, int, int, bytes]:
-    """Kind, sequence, time and payload of one frame, which must be whole."""
-    length, kind, sequence, time_us = struct.unpack_from("<HBHI", frame, 2)
-    assert frame[:2] == b"\xa5\x5a"
-    assert len(frame) == 15 + length
-    assert struct.pack("<I", zlib.crc32(frame[2:-4])) == frame[-4:]
-    return kind, sequence, time_us, frame[11:-4]
-
-
-def ask(firmware: Firmware, kind: int, payload: bytes = b"", sequence: int = 1) -> bytes:
-    answer_kind, echoed, _, answer = frame_fields(firmware.feed(framed(kind, sequence, payload)))
-    assert (answer_kind, echoed) == (kind | 0x80, sequence)
-    return answer
-
-
-ONE = bytes.fromhex("53 01 02 30")  # two bytes from register 0x30
-NOBODY = bytes.fromhex("1d 01 02 30")
-
-
-def started(period_us: int = 5000, *lists: str, **given: Any) -> tuple[Firmware, Board, VirtualClock]:
-    firmware, board, clock = bench(**given)
-    for sequence, text in enumerate(lists):
-        assert ask(firmware, 3, bytes.fromhex(text), sequence) == b"\x00"
-    assert ask(firmware, 4, struct.pack("<I", period_us), 99) == b"\x00"
-    return firmware, board, clock
-
-
-def run(firmware: Firmware, clock: VirtualClock, frames: int) -> list[tuple[int, int, int, bytes]]:
-    sent = []
-    for _ in range(frames):
-        assert firmware.due_ns is not None
-        clock.sleep_until(firmware.due_ns)
-        sent += [frame_fields(frame) for frame in firmware.tick()]
-    return sent
+from firmware_emulator.serial_firmware import LISTS, REQUEST_BYTES
+from tests.emulator.firmware_bench import (
+    MS,
+    NOBODY,
+    ONE,
+    TRANSACTION_NS,
+    ask,
+    bench,
+    frame_fields,
+    framed,
+    run,
+    started,
+)
+from tests.firmware.kinds import both_kinds
 
 
 def test_hello_reports_version_and_capacity() -> None:
     assert ask(bench()[0], 1) == struct.pack("<BBH", 1, LISTS, REQUEST_BYTES)
 
 
+@both_kinds()
 def test_a_transaction_is_executed_and_answered() -> None:
     firmware, board, _ = bench()
     assert ask(firmware, 2, bytes.fromhex("53 0600 32")) == b"\x00" + bytes(range(6))
@@ -98,6 +39,7 @@ def test_a_transaction_is_executed_and_answered() -> None:
     assert ask(firmware, 2, bytes.fromhex("53 0100 00"), 4) == b"\x02"
 
 
+@both_kinds()
 def test_a_repeated_command_is_answered_again_and_executed_once() -> None:
     firmware, board, _ = bench()
     command = framed(2, 7, bytes.fromhex("53 0100 00"))
@@ -108,6 +50,7 @@ def test_a_repeated_command_is_answered_again_and_executed_once() -> None:
     assert len(board.asked) == 2
 
 
+@both_kinds()
 @pytest.mark.parametrize(
     ("kind", "payload"),
     [
@@ -142,6 +85,7 @@ def test_lists_beyond_the_memory_are_refused() -> None:
     assert ask(firmware, 3, bytes([4, 1, 0, 0, 0]) + body, 10) == b"\x00"
 
 
+@both_kinds()
 def test_lists_run_in_their_frames() -> None:
     firmware, _, clock = started(5000, "00 0100 0000" + ONE.hex(), "01 0300 0200" + NOBODY.hex())
     sent = run(firmware, clock, 7)
@@ -158,6 +102,7 @@ def test_lists_run_in_their_frames() -> None:
     ]
 
 
+@both_kinds()
 def test_frames_have_times_and_ages() -> None:
     firmware, _, clock = started(5000, "00 0100 0000" + (ONE * 3).hex(), counter_us=1000)
     sent = run(firmware, clock, 3)
@@ -165,6 +110,7 @@ def test_frames_have_times_and_ages() -> None:
     assert sent[0][3].hex(" ") == "00 2c 01 00 01 c8 00 00 01 64 00 00 01"  # ages 300, 200, 100
 
 
+@both_kinds()
 def test_drift_applies_to_the_counter_and_the_period() -> None:
     firmware, _, clock = started(5000, "00 0100 0000" + ONE.hex(), drift=0.01)
     begun_ns = clock.now_ns()
@@ -181,6 +127,7 @@ def test_counters_wrap() -> None:
     assert [frame[1] for frame in run(firmware, clock, 3)] == [65_535, 0, 1]
 
 
+@both_kinds()
 def test_a_request_without_acknowledgement_is_tried_twice() -> None:
     firmware, board, clock = started(5000, "00 0100 0000" + ONE.hex())
     board.failures = [121, 0, 121, 121, 110]
@@ -191,6 +138,7 @@ def test_a_request_without_acknowledgement_is_tried_twice() -> None:
     assert len(board.asked) == 5
 
 
+@both_kinds()
 def test_frames_without_time_are_skipped() -> None:
     firmware, _, clock = started(1000, "00 0100 0000" + ONE.hex())
     run(firmware, clock, 2)
@@ -198,6 +146,7 @@ def test_frames_without_time_are_skipped() -> None:
     assert [frame[1] for frame in run(firmware, clock, 2)] == [4, 5]  # the one that should run by now is begun late
 
 
+@both_kinds()
 @pytest.mark.parametrize("kind", [1, 5])
 def test_hello_and_stop_end_the_stream(kind: int) -> None:
     firmware, _, clock = started(1000, "00 0100 0000" + ONE.hex())

@@ -17,14 +17,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def core(folder: Path) -> build.Core:
-    return build.library(folder)
-
-
-@pytest.fixture(scope="session")
-def core_firmware(core: build.Core) -> type[build.CoreFirmware]:
-    build.CoreFirmware.core = core
-    return build.CoreFirmware
+def core(core_firmware: type[build.CoreFirmware]) -> build.Core:
+    return core_firmware.core
 
 
 @pytest.fixture(scope="session")

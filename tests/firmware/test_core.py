@@ -1,4 +1,4 @@
-"""Answers and frames of the firmware's core: the tests of the emulated firmware, and functions of the core alone."""
+"""Answers and frames that only the firmware's core has; the others are tests of both (`tests.firmware.kinds`)."""
 
 from __future__ import annotations
 
@@ -12,41 +12,10 @@ from hypothesis import strategies as st
 
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.serial_firmware import Firmware
-from tests.emulator import test_serial_firmware as emulated
-from tests.emulator.test_serial_firmware import (  # the same tests, of the core
-    MS,
-    NOBODY,
-    ONE,
-    ask,
-    bench,
-    frame_fields,
-    framed,
-    run,
-    started,
-    test_a_repeated_command_is_answered_again_and_executed_once,
-    test_a_request_without_acknowledgement_is_tried_twice,
-    test_a_transaction_is_executed_and_answered,
-    test_drift_applies_to_the_counter_and_the_period,
-    test_frames_have_times_and_ages,
-    test_frames_without_time_are_skipped,
-    test_hello_and_stop_end_the_stream,
-    test_invalid_commands_are_refused,
-    test_lists_run_in_their_frames,
-)
+from tests.emulator import firmware_bench
+from tests.emulator.firmware_bench import MS, NOBODY, ONE, Board, ask, bench, frame_fields, framed, run, started
 from tests.firmware.build import CoreFirmware
 from tests.selection import examples
-
-__all__ = [
-    "test_a_repeated_command_is_answered_again_and_executed_once",
-    "test_a_request_without_acknowledgement_is_tried_twice",
-    "test_a_transaction_is_executed_and_answered",
-    "test_drift_applies_to_the_counter_and_the_period",
-    "test_frames_have_times_and_ages",
-    "test_frames_without_time_are_skipped",
-    "test_hello_and_stop_end_the_stream",
-    "test_invalid_commands_are_refused",
-    "test_lists_run_in_their_frames",
-]
 
 LISTS, REQUEST_BYTES, LINE_BYTES, KEPT_BYTES = 128, 4096, 8192, 32768
 RESEND, STATUS, SELECT = 6, 7, 8
@@ -54,8 +23,8 @@ RESEND, STATUS, SELECT = 6, 7, 8
 
 @pytest.fixture(autouse=True)
 def _the_core(core_firmware: type[CoreFirmware], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The tests of the emulated firmware run with the core."""
-    monkeypatch.setattr(emulated, "Firmware", core_firmware)
+    """The bench has the core."""
+    monkeypatch.setattr(firmware_bench, "Firmware", core_firmware)
     yield
 
 
@@ -349,7 +318,7 @@ def test_a_count_outside_its_read_is_refused(kind: str, requests: bytes, core_fi
 
 def test_the_core_and_the_emulated_firmware_send_the_same_bytes(core_firmware: type[CoreFirmware]) -> None:
     """The same commands at the same times: the same bytes on the line, HELLO's room aside."""
-    both = [kind(emulated.Board(clock := VirtualClock(5 * MS)), clock) for kind in (core_firmware, Firmware)]
+    both = [kind(Board(clock := VirtualClock(5 * MS)), clock) for kind in (core_firmware, Firmware)]
     commands = [
         framed(3, 1, bytes.fromhex("00 0100 0000") + ONE * 3 + NOBODY),
         framed(3, 2, bytes.fromhex("05 0300 0100") + ONE),

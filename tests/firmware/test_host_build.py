@@ -68,7 +68,7 @@ def check_rows(path: Path, bus: NumberedBus) -> np.ndarray:
     """Each row is one burst of the wire, in order and none twice; a gap is flagged. The numbers of the bursts (n,).
 
     A busy machine makes the process late, which then reads nothing: flagged, and no gap on the wire. That nothing else
-    is flagged, and the times, are tested on the emulator's clock (`test_streams`, `test_resend`).
+    is flagged, and the times, are tested on the emulator's clock (`tests.firmware.kinds`, `test_resend`).
     """
     with open_log(path) as log:
         counts, status = log["A"].counts[:], np.asarray(log["A"].status[:])
