@@ -12,7 +12,7 @@ import imuarray as ia
 from imuarray.cli import main
 from imuarray.commands.options import print_json
 from tests.json_page import documented
-from tests.report.made_diagnosis import made
+from tests.report.example_diagnoses import partial_diagnosis
 
 RUN, OUT = "{folder}/run.h5", "{folder}/out"
 BOOTS = "{folder}/boot_1.h5 {folder}/boot_2.h5 {folder}/boot_3.h5"
@@ -78,7 +78,7 @@ def test_every_key_is_on_the_page(folder: Path, capsys: pytest.CaptureFixture[st
 def test_every_key_of_a_diagnosis_is_on_the_page() -> None:
     """Of a diagnosis made by hand, which has an entry in every list."""
     keys, entries = documented()["gap diagnose"]
-    result = made().as_json()
+    result = partial_diagnosis().as_json()
     assert result.keys() == keys
     for name, of_entry in entries.items():
         assert result[name] and result[name][0].keys() == of_entry, name

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections import defaultdict
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,10 +13,7 @@ from hypothesis import strategies as st
 
 from firmware_emulator.faults import BUS_FAULTS, FAULTS
 from imuarray.acquire.fault_episode import FaultEpisode
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
-from night import array_of, night
-
+from tests.reliability.night import array_of, night
 from tests.selection import some
 
 SECOND = 1_000_000_000

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +15,7 @@ from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.acquire.sensor_health import Freshness
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
 from imuarray.log.format import LOST_BEFORE, STALE
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
-from night import array_of, night
-
+from tests.reliability.night import array_of, night
 from tests.selection import some
 
 MS, SECOND = 1_000_000, 1_000_000_000

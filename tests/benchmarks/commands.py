@@ -1,4 +1,4 @@
-"""Commands as whole processes, beside bare scripts (`bare.py`) that come to the same, and beside the time a user has.
+"""Commands as whole processes, compared with scripts of the same result (`short_scripts.py`) and with a user's time.
 
 A log of nine triads at 100 Hz, six minutes of it, with `full` an hour. The figures are processor time, that of the
 kernel included, of a process from its start to its end, both sides in one run. Neither side uses more than one thread
@@ -156,7 +156,7 @@ def _beside_peers(log: Path, folder: Path, seconds: int, full: bool) -> list[Row
     for command in COMMANDS:
         ours = _run(_ours(command.words, log, folder / f"ours{command.suffix}", seconds))
         for script in set(command.scripts) - set(theirs):
-            words = [sys.executable, str(HERE / "bare.py"), script, str(log), str(folder / f"bare_{script}")]
+            words = [sys.executable, str(HERE / "short_scripts.py"), script, str(log), str(folder / f"bare_{script}")]
             theirs[script] = _run(words)
         peers = [theirs[script] for script in command.scripts]
         name = f"imuarray {_said(command)}, {seconds // 60} min of nine triads, against a bare script"

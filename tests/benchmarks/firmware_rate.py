@@ -30,7 +30,7 @@ from imuarray.bus.serial_port import usual_port
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the tests' own host build
 
 from tests.firmware.build import CORE, SOURCES, compiled
-from tests.firmware.hosted import HostBuild
+from tests.firmware.host_build import HostBuild
 
 CHIPS, BURST, RATE_HZ = 8, 14, 1000
 FRAME_BYTES = OVERHEAD + 1 + CHIPS * (2 + BURST)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
@@ -21,10 +20,7 @@ from imuarray.bus.replay import ReplayBus
 from imuarray.bus.transcript import RecordingBus
 from imuarray.errors import BusUrlError, OutputExistsError, SensorError
 from imuarray.log import open_log
-
-sys.path.insert(0, str(Path(__file__).parent))
-from serial_bench import Bench
-
+from tests.bus.serial_bench import Bench
 from tests.selection import some
 
 

@@ -14,7 +14,7 @@ from imuarray.log import open_log
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Scale
 from tests.calibrate.conftest import FACES, Part, WriteLog, accelerometer, directions, gyroscope, ideal
-from tests.calibrate.tumbled import Tumbled, attitudes, record
+from tests.calibrate.hand_tumble import HandTumble, attitudes, record
 
 PARTS = (
     Part(accelerometer("A1"), ideal("+X+Y+Z", 2100), np.array([50.0, -60.0, 70.0]), 20.0),
@@ -87,7 +87,7 @@ def test_tumble_reports_gyroscopes_residuals_and_excluded_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A hand-tumbled log; the table and the JSON object agree."""
-    motion = Tumbled(attitudes(14, np.random.default_rng(2)))
+    motion = HandTumble(attitudes(14, np.random.default_rng(2)))
     still = {name: (WhiteNoise((0.002,) * 3),) for name in ("BMA1", "BMA2")}
     effects = {**still, "Gyro1": (WhiteNoise((0.1,) * 3), Scale((0.02,) * 3))}
     path, output = record(tmp_path / "run.h5", motion, effects, only=tuple(effects)), str(tmp_path / "cal.toml")

@@ -16,9 +16,9 @@ from imuarray.fuse.fusion import complete_responses, prepare_inputs
 from imuarray.log import Log, open_log
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import WhiteNoise
-from tests.calibrate.planted_responses import planted
-from tests.calibrate.tumbled import Tumbled, attitudes, record
-from tests.calibrate.turned import ACCELEROMETERS, about, effects
+from tests.calibrate.hand_tumble import HandTumble, attitudes, record
+from tests.calibrate.true_responses import true_response
+from tests.calibrate.turn_effects import ACCELEROMETERS, about, effects
 
 NAMES = (*ACCELEROMETERS, "Gyro1", "Gyro3")
 NOISE = (0.017, 0.18)
@@ -28,7 +28,7 @@ def half_known(folder: Path, seed: int) -> Calibration:
     """Gyro1 turned about all axes, Gyro3 about X and Z only; the noise of the paper's chips."""
     parts = []
     for motion in (attitudes(16, np.random.default_rng(900 + seed)), about("XZ", 16, np.random.default_rng(seed))):
-        path = record(folder / f"{seed}_{len(parts)}.h5", Tumbled(motion), effects(*NOISE), seed=seed, only=NAMES)
+        path = record(folder / f"{seed}_{len(parts)}.h5", HandTumble(motion), effects(*NOISE), seed=seed, only=NAMES)
         with open_log(path) as log:
             parts.append(calibrate_tumble(log).calibration.merged(calibrate_noise(log)))
     whole, half = parts
@@ -37,7 +37,7 @@ def half_known(folder: Path, seed: int) -> Calibration:
 
 
 def moved(folder: Path, seed: int, turn_s: float = 5.0, axes: str = "XYZ") -> Path:
-    motion = Tumbled(about(axes, 12, np.random.default_rng(70 + seed)), rest_s=1.0, turn_s=turn_s)
+    motion = HandTumble(about(axes, 12, np.random.default_rng(70 + seed)), rest_s=1.0, turn_s=turn_s)
     return record(folder / f"moved_{seed}_{axes}.h5", motion, effects(*NOISE), seed=77 + seed, only=NAMES)
 
 
@@ -51,7 +51,7 @@ def test_the_third_column_is_within_its_covariance(tmp_path: Path) -> None:
         known = half_known(tmp_path, seed)
         with open_log(moved(tmp_path, seed, 2.0 if seed % 2 else 5.0)) as log:
             transfer = transfer_response(log, known)
-            true = planted(log["Gyro3"].sensitivity, log["Gyro3"].orientation)
+            true = true_response(log["Gyro3"].sensitivity, log["Gyro3"].orientation)
             assert (transfer.axes, transfer.references, transfer.refused) == ({"Gyro3": "Y"}, ("Gyro1",), ())
             complete = transfer.calibration.sensors["Gyro3"]
             error = complete.response_lsb_per_unit - true
@@ -85,7 +85,7 @@ def test_every_technique_improves_by_the_transfer(tmp_path: Path) -> None:
 
 def without_reference(folder: Path, seed: int) -> Calibration:
     """Gyro3 alone, turned about X and Z only, and two accelerometers."""
-    motion = Tumbled(about("XZ", 16, np.random.default_rng(seed)))
+    motion = HandTumble(about("XZ", 16, np.random.default_rng(seed)))
     path = record(folder / f"half_{seed}.h5", motion, effects(*NOISE), seed=seed, only=(*ACCELEROMETERS, "Gyro3"))
     with open_log(path) as log:
         return calibrate_tumble(log).calibration.merged(calibrate_noise(log))
@@ -93,7 +93,7 @@ def without_reference(folder: Path, seed: int) -> Calibration:
 
 def rested(folder: Path, seed: int, turn_s: float, bias_g: float = 0.1, axes: str = "XYZ") -> Path:
     """Twelve rests and turns; the accelerometers' bias along x is 0.1 g in the calibration."""
-    motion = Tumbled(about(axes, 12, np.random.default_rng(70 + seed)), rest_s=3.0, turn_s=turn_s)
+    motion = HandTumble(about(axes, 12, np.random.default_rng(70 + seed)), rest_s=3.0, turn_s=turn_s)
     still = {name: (WhiteNoise((NOISE[0],) * 3), Bias((bias_g, -0.05, 0.02))) for name in ACCELEROMETERS}
     made = {**effects(*NOISE), **still}
     return record(
@@ -115,7 +115,7 @@ def test_the_third_column_from_gravity_is_within_its_covariance(bias_g: float, m
         known = without_reference(tmp_path, seed)
         with open_log(rested(tmp_path, seed, 2.0 if seed % 2 else 5.0, bias_g)) as log:
             transfer = transfer_response(log, known)
-            true = planted(log["Gyro3"].sensitivity, log["Gyro3"].orientation)
+            true = true_response(log["Gyro3"].sensitivity, log["Gyro3"].orientation)
             assert (transfer.axes, transfer.references, transfer.refused) == ({"Gyro3": "Y"}, ("gravity",), ())
             complete = transfer.calibration.sensors["Gyro3"]
             error = complete.response_lsb_per_unit - true
@@ -147,7 +147,7 @@ def test_uninformative_or_contradicting_gravity_changes_nothing(tmp_path: Path) 
     with open_log(rested(tmp_path, 1, 2.0, axes="XZ")) as log:
         same = transfer_response(log, known)
         assert (same.axes, same.calibration.sensors["Gyro3"].uncertain_axes()) == ({}, "Y")
-    hasty = Tumbled(about("XYZ", 12, np.random.default_rng(71)), rest_s=0.2, turn_s=2.0)
+    hasty = HandTumble(about("XYZ", 12, np.random.default_rng(71)), rest_s=0.2, turn_s=2.0)
     never = record(tmp_path / "never.h5", hasty, effects(*NOISE), only=(*ACCELEROMETERS, "Gyro3"))
     with open_log(never) as log:
         assert transfer_response(log, known).calibration.sensors["Gyro3"] is known.sensors["Gyro3"]

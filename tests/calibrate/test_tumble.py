@@ -18,7 +18,7 @@ from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.motion import Tumble as OnFaces
 from tests.calibrate.conftest import Floats, directions, ideal
-from tests.calibrate.tumbled import CONFIG, Tumbled, attitudes, record
+from tests.calibrate.hand_tumble import CONFIG, HandTumble, attitudes, record
 
 SENSORS = ("BMA1", "BMA2", "ADXL1", "Gyro3", "BMP180")
 EFFECTS: dict[str, tuple[Effect, ...]] = {
@@ -83,7 +83,7 @@ def test_poses_of_several_logs_are_combined(tmp_path: Path) -> None:
     """Two logs of seven poses each, neither sufficient alone; turns are those within each log."""
     made, parts = attitudes(14, np.random.default_rng(4)), []
     for index, part in enumerate((made[:7], made[7:])):
-        parts.append(record(tmp_path / f"{index}.h5", Tumbled(part), EFFECTS, seed=index, only=SENSORS))
+        parts.append(record(tmp_path / f"{index}.h5", HandTumble(part), EFFECTS, seed=index, only=SENSORS))
     with open_log(parts[0]) as one, open_log(parts[1]) as other:
         heard: list[tuple[str, int, int]] = []
         result = calibrate_tumble(one, other, progress=lambda what, done, of: heard.append((what, done, of)))

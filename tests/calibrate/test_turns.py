@@ -15,18 +15,23 @@ from imuarray.log import open_log
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Misalignment, Scale
 from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, gyroscope, ideal
-from tests.calibrate.planted_responses import planted
-from tests.calibrate.tumbled import Tumbled, attitudes, record
-from tests.calibrate.turned import ACCELEROMETERS, G_SENSITIVITY, GYROSCOPES, SCALE, about, effects
+from tests.calibrate.hand_tumble import HandTumble, attitudes, record
+from tests.calibrate.true_responses import true_response
+from tests.calibrate.turn_effects import ACCELEROMETERS, G_SENSITIVITY, GYROSCOPES, SCALE, about, effects
 
 
 def tumble(
-    path: Path, motion: Tumbled, noise_g: float, noise_dps: float, seed: int, gyroscopes: tuple[str, ...] = GYROSCOPES
+    path: Path,
+    motion: HandTumble,
+    noise_g: float,
+    noise_dps: float,
+    seed: int,
+    gyroscopes: tuple[str, ...] = GYROSCOPES,
 ) -> tuple[TumbleResult, dict[str, Floats]]:
     """The result of a calibration of a simulated log, and the true responses."""
     record(path, motion, effects(noise_g, noise_dps), seed=seed, only=(*ACCELEROMETERS, *gyroscopes))
     with open_log(path) as log:
-        truth = {name: planted(log[name].sensitivity, log[name].orientation) for name in gyroscopes}
+        truth = {name: true_response(log[name].sensitivity, log[name].orientation) for name in gyroscopes}
         return calibrate_tumble(log), truth
 
 
@@ -38,7 +43,7 @@ def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
     """
     squares = []
     for seed in range(6):
-        motion = Tumbled(attitudes(12, np.random.default_rng(seed)))
+        motion = HandTumble(attitudes(12, np.random.default_rng(seed)))
         result, truth = tumble(tmp_path / f"{seed}.h5", motion, 0.017, 0.18, seed)
         for name, true in truth.items():
             fit, known = result.turns[name], result.calibration.sensors[name]
@@ -67,7 +72,7 @@ def test_turns_about_one_axis_do_not_determine_the_others(tmp_path: Path) -> Non
     steps = Rotation.from_rotvec(np.outer(np.arange(14) * np.radians(55), (1.0, 0.0, 0.0)))
     # Rows about box X; two changes of the cone about other axes are too few turns to determine Y and Z.
     made = Rotation.concatenate([still[0] * steps[:6], still[1] * steps[6:10], still[2] * steps[10:]])
-    result, truth = tumble(tmp_path / "run.h5", Tumbled(made), 0.017, 0.18, 1, ("Gyro3",))
+    result, truth = tumble(tmp_path / "run.h5", HandTumble(made), 0.017, 0.18, 1, ("Gyro3",))
     fit, known = result.turns["Gyro3"], result.calibration.sensors["Gyro3"]
     assert "X" not in fit.uncertain_axes
     assert fit.uncertain_axes
@@ -91,7 +96,7 @@ def test_the_columns_of_two_turned_axes_are_determined(tmp_path: Path) -> None:
         off = TOLERANCE * rng.normal(size=(3, 3))
         scale, leaning = tuple(np.diag(off).tolist()), Misalignment(tuple(np.degrees(off[~np.eye(3, dtype=bool)])))
         planted_by = {"Gyro3": (WhiteNoise((0.18,) * 3), Scale(scale), leaning)}
-        motion = Tumbled(about("XZ", 13, rng), rest_s=4.0, turn_s=1.5)
+        motion = HandTumble(about("XZ", 13, rng), rest_s=4.0, turn_s=1.5)
         path = tmp_path / f"{seed}.h5"
         still = {name: effects(0.017, 0.18)[name] for name in ACCELEROMETERS}
         record(path, motion, {**still, **planted_by}, seed=seed, only=(*ACCELEROMETERS, "Gyro3"))
@@ -115,7 +120,7 @@ def test_turns_that_clip_are_excluded_and_named(tmp_path: Path) -> None:
     """A turn's rate is 2.19 times the mean one at its peak (35 / 16, the smooth step's slope): within 1 s those of more
     than 114 degrees may clip at 250 dps, and only those.
     """
-    motion = Tumbled(attitudes(16, np.random.default_rng(5), 60, 170), turn_s=1.0)
+    motion = HandTumble(attitudes(16, np.random.default_rng(5), 60, 170), turn_s=1.0)
     result, _ = tumble(tmp_path / "run.h5", motion, 0.002, 0.03, 1)
     angles = np.degrees(np.linalg.norm(motion.turns[:-1], axis=1))
     fast = result.turns["Gyro3"]

@@ -32,7 +32,7 @@ from imuarray.cli import main
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, SUSPECT
 from imuarray.log.writer import LogWriter
-from tests.firmware.hosted import ADXL345, BURST, BadLine, HostBuild, NumberedBus, damage, reading
+from tests.firmware.host_build import ADXL345, BURST, BadLine, HostBuild, NumberedBus, damage, reading
 from tests.selection import some
 
 CONFIG = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'

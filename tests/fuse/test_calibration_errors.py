@@ -21,8 +21,8 @@ from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from tests.calibrate.tumbled import Tumbled, record
-from tests.calibrate.turned import ACCELEROMETERS, about, changed_effects, drawn_effects
+from tests.calibrate.hand_tumble import HandTumble, record
+from tests.calibrate.turn_effects import ACCELEROMETERS, about, changed_effects, drawn_effects
 from tests.fuse.arrays import at_once
 from tests.fuse.conftest import DPS, Floats, Part, WriteRun, calibration, joined, pointing
 from tests.selection import some
@@ -142,7 +142,7 @@ def scores_after_turns(
     """
     rng = np.random.default_rng(seed)
     timing = {"rate_hz": rates.all_hz, "rates_hz": rates.others_hz}
-    turns = Tumbled(about("XZ", 16, rng), rest_s=rest_s)
+    turns = HandTumble(about("XZ", 16, rng), rest_s=rest_s)
     record(folder / f"turns{seed}.h5", turns, world, seed=seed, only=NAMES, **timing)  # type: ignore[arg-type]
     with open_log(folder / f"turns{seed}.h5") as log:
         result = calibrate_tumble(log).calibration.merged(calibrate_noise(log))
@@ -156,7 +156,7 @@ def scores_after_turns(
     steady = Calibration({name: replace(each, **nothing_else) for name, each in result.sensors.items()})  # type: ignore[arg-type]
     scores, changed = {}, changed_effects(world, rng, change)
     for axes in ("XZ", "XYZ"):
-        motion = Tumbled(about(axes, 12, rng), rest_s=1.0, turn_s=5.0)
+        motion = HandTumble(about(axes, 12, rng), rest_s=1.0, turn_s=5.0)
         record(folder / f"{axes}{seed}.h5", motion, changed, seed=seed + 100, only=NAMES, **timing)  # type: ignore[arg-type]
         with open_log(folder / f"{axes}{seed}.h5") as log:
             scores[axes] = [score for score in compare(log, steady).scores if score.quantity == "angular_rate"]

@@ -30,7 +30,7 @@ from imuarray.log.sensor_log import recorded_header
 from imuarray.simulate import Simulation, load_model, plan_of, write_log
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.simulation import effects_of
-from tests.fuse.pushed_rows import pushed, read, same
+from tests.fuse.row_pushes import push_rows, read, same
 from tests.selection import some
 
 Floats = npt.NDArray[np.float64]
@@ -322,7 +322,7 @@ def test_live_fusion_equals_fusion_of_the_log(tmp_path: Path) -> None:
         stream = live(
             headers, calibration, "optimal", watch=Watch(True, RANGES, result.append), patience=Patience(10.0)
         )
-        one = list(pushed(stream, read(log), 7, 1.5))
+        one = list(push_rows(stream, read(log), 7, 1.5))
     other, events = fused(path, calibration, CAUSAL)
     same(one, other)
     assert [event.sensor for event in result if event.state == "isolated"] == ["BMA3"]

@@ -17,7 +17,7 @@ from imuarray.fuse.fusion import Patience
 from imuarray.log import Block, Log, open_log
 from imuarray.log.sensor_log import recorded_header
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined
-from tests.fuse.pushed_rows import AXES, pushed, read, same
+from tests.fuse.row_pushes import AXES, push_rows, read, same
 from tests.fuse.warm_runs import ELEMENT, heating
 from tests.fuse.warm_runs import known as with_slopes
 from tests.selection import some
@@ -78,7 +78,7 @@ def test_rows_in_any_pieces_give_the_result_of_the_log(run: Path, technique: str
     with open_log(run) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
         stream = live(headers, calibration(parts()), technique, patience=Patience(10.0))
-        same(list(pushed(stream, read(log), seed, most_s)), list(fuse(log, calibration(parts()), technique)))
+        same(list(push_rows(stream, read(log), seed, most_s)), list(fuse(log, calibration(parts()), technique)))
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_live_temperatures_are_causal(warm: Path, seed: int) -> None:
     with open_log(warm) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
         stream = live(headers, with_slopes(), "mean", patience=Patience(1000.0))
-        one = list(pushed(stream, read(log), seed, 300.0))
+        one = list(push_rows(stream, read(log), seed, 300.0))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True)))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True, block=777)))
         # Up to 22.5 s old at 20 degC in 300 s, 1.5 degC of 3 counts each: the difference is at most that.

@@ -13,7 +13,7 @@ from imuarray.fuse.fusion import Patience
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from tests.fuse.conftest import G, Part, calibration, pointing
-from tests.fuse.pushed_rows import AXES, pushed
+from tests.fuse.row_pushes import AXES, push_rows
 from tests.selection import examples
 
 PERIOD_NS = 10_000_000
@@ -101,7 +101,7 @@ def test_every_frame_at_rest_is_the_mean_of_the_sensors_with_readings(
     parts = [Part(f"A{i}", AXES[i], range=2.0, sensitivity=SENSITIVITY, sigma=0.01) for i in range(len(courses))]
     rows = [rows_of(course, part, times, rng) for course, part in zip(courses, parts, strict=True)]
     stream = live([part.header for part in parts], calibration(parts), "mean", patience=Patience(1e9))
-    blocks = list(pushed(stream, {part.name: block for part, block in zip(parts, rows, strict=True)}, seed, most_s))
+    blocks = list(push_rows(stream, {part.name: block for part, block in zip(parts, rows, strict=True)}, seed, most_s))
     fused = FusedBlock.joined(blocks)
     assert (np.diff(fused.time) > 0).all()
     truth = COUNTS / SENSITIVITY * G

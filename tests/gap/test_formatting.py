@@ -32,7 +32,7 @@ from imuarray.gap.findings.text import (
 from imuarray.gap.findings.verdict import LARGEST
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.synthetic_likelihood import LARGEST_SCORE
-from tests.report.made_diagnosis import CAUSES, made, where
+from tests.report.example_diagnoses import CAUSES, partial_diagnosis, where
 
 
 def test_many_sensors_are_abbreviated() -> None:
@@ -92,7 +92,7 @@ def test_the_smallest_p_is_printed_as_a_bound(replicates: int, text: str) -> Non
 
 
 def test_a_p_by_fitted_tails_is_added_where_it_is_smaller() -> None:
-    limited = replace(made(), p=1 / 65, replicates=64)
+    limited = replace(partial_diagnosis(), p=1 / 65, replicates=64)
     none = "p < 0.016: none of 64 simulations without a gap differs as much"
     assert chance_text(limited) == none
     assert chance_text(replace(limited, p_tail=2e-4)) == f"{none}; p = 0.0002 by the tails fitted to these"

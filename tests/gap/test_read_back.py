@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 
 from imuarray.errors import LogError
 from imuarray.gap.findings.diagnosis import diagnosis_of
-from tests.report.made_diagnosis import made
+from tests.report.example_diagnoses import partial_diagnosis
 from tests.selection import examples, some
 
 
 def table() -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(json.dumps(made().as_json()))
+    loaded: dict[str, Any] = json.loads(json.dumps(partial_diagnosis().as_json()))
     return loaded
 
 
 def test_all_content_of_the_json_is_read_back() -> None:
-    assert diagnosis_of(table()).as_json() == made().as_json()
+    assert diagnosis_of(table()).as_json() == partial_diagnosis().as_json()
 
 
 @pytest.mark.parametrize(
@@ -75,15 +75,15 @@ def test_files_of_earlier_versions_have_no_pulls_and_no_missing_statistics() -> 
 
 def test_json_states_that_p_is_a_bound() -> None:
     """No simulation of 64 differs as much: p is at most 1/65."""
-    limited = replace(made(), p=1 / 65, replicates=64, p_tail=1e-9).as_json()
+    limited = replace(partial_diagnosis(), p=1 / 65, replicates=64, p_tail=1e-9).as_json()
     assert (limited["p"], limited["p_limit"], limited["p_tail"]) == (1 / 65, 1 / 65, 1e-9)
-    assert replace(made(), replicates=99).as_json()["p_limit"] == 0.01
+    assert replace(partial_diagnosis(), replicates=99).as_json()["p_limit"] == 0.01
 
 
 def test_json_states_the_parts_out_of_specification() -> None:
     assert [pull["is_out_of_specification"] for pull in table()["pulls"]] == [False, True, True, True]
     assert [pull["explained_by"] for pull in table()["pulls"]] == [[], [], [], ["thermal_lag"]]
-    assert diagnosis_of(table()).pulls == made().pulls
+    assert diagnosis_of(table()).pulls == partial_diagnosis().pulls
 
 
 _JSON = st.recursive(
@@ -93,7 +93,7 @@ _JSON = st.recursive(
 )
 
 
-@given(key=st.sampled_from(sorted(made().as_json())), value=_JSON)
+@given(key=st.sampled_from(sorted(partial_diagnosis().as_json())), value=_JSON)
 @settings(max_examples=examples(60), deadline=None)
 def test_any_value_is_read_back_or_refused_by_the_name_of_its_field(key: str, value: object) -> None:
     """A value is either read back as it is or refused with a LogError that names its field."""

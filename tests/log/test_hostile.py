@@ -6,7 +6,6 @@ import json
 import os
 import re
 import struct
-import sys
 import tracemalloc
 import zlib
 from pathlib import Path
@@ -20,10 +19,7 @@ from imuarray.errors import LogError
 from imuarray.log import LogWriter, open_log
 from imuarray.log.format import Preamble, SensorHeader
 from imuarray.log.journal import JournalReader, groups_of, is_running, journal_of
-
-sys.path.insert(0, str(Path(__file__).parent))
-from hostile import KINDS, built
-
+from tests.log.hostile_files import KINDS, damage_log
 from tests.selection import some
 
 EPOCH = "2013-09-16T08:30:00.000000Z"
@@ -42,7 +38,7 @@ def refusal(path: Path) -> str:
 
 @pytest.mark.parametrize("kind", some(KINDS, 4))
 def test_hostile_logs_are_refused(small: Path, kind: str) -> None:
-    message = built(small, kind)
+    message = damage_log(small, kind)
     assert message in refusal(small)
 
 

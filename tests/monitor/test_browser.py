@@ -13,7 +13,7 @@ from imuarray.log.format import Event
 from imuarray.monitor.log_monitor import THEMES
 from tests.monitor.chromium import CHROMIUM, browser
 from tests.monitor.conftest import ACC, EPOCH, HEADERS, Logger, rows
-from tests.monitor.served import served
+from tests.monitor.page_server import serve_page
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
 
@@ -69,7 +69,7 @@ def test_the_page_shows_the_log_and_follows_its_changes(logger: Logger, log_path
             await page.until(f"{DRAWN} === 9")
             assert page.said == []
 
-    with served(log_path) as (address, _):
+    with serve_page(log_path) as (address, _):
         asyncio.run(visit(address))
 
 
@@ -90,7 +90,7 @@ def test_a_dead_sensor_is_shown_silent_in_the_fault_colour(logger: Logger, log_p
             assert set(colours) == {"rgb(154, 67, 0)"}
             assert page.said == []
 
-    with served(log_path) as (address, _):
+    with serve_page(log_path) as (address, _):
         asyncio.run(visit(address))
 
 
@@ -107,13 +107,13 @@ def test_the_page_reports_a_stopped_monitor_and_reconnects(log_path: Path, tmp_p
             first.wait(60)
             await page.until(f"{state} === 'no connection'")
             assert "goes on trying" in await page.value("document.getElementById('connection').textContent")
-            with served(log_path, "--port", port):
+            with serve_page(log_path, "--port", port):
                 await page.until(f"{state} === 'being written'")
                 assert await page.value("document.getElementById('connection').hidden")
                 writer.__exit__(None, None, None)
                 await page.until(f"{state} === 'the log has ended'")
 
-    with served(log_path) as (address, first):
+    with serve_page(log_path) as (address, first):
         asyncio.run(visit(address, address.rsplit(":", 1)[1].strip("/")))
 
 
@@ -131,5 +131,5 @@ def test_names_are_shown_as_text(log_path: Path, tmp_path: Path) -> None:
             assert await page.value("document.querySelectorAll('img, b:not(.axes b), td script').length") == 0
             assert await page.value("document.title") == "run.h5: finished"
 
-    with served(log_path) as (address, _):
+    with serve_page(log_path) as (address, _):
         asyncio.run(visit(address))

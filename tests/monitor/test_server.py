@@ -16,7 +16,7 @@ import pytest
 
 from imuarray.monitor.log_monitor import LogMonitor, SharedSnapshots
 from imuarray.monitor.server import HEADERS, address_of, is_own, new_token, refusal
-from tests.monitor.served import served
+from tests.monitor.page_server import serve_page
 
 
 class Answer(NamedTuple):
@@ -104,7 +104,7 @@ def awaited_rows(address: str, rows: int) -> int:
 @pytest.mark.slow
 def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     logger.go_on(3.0)
-    with served(log_path) as (address, process):
+    with serve_page(log_path) as (address, process):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
         page = asked(address)
         assert page.status == 200
@@ -139,7 +139,7 @@ def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None
 @pytest.mark.slow
 def test_another_address_requires_the_token(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     logger.go_on(1.0)
-    with served(log_path, "--host", "0.0.0.0") as (printed, _):  # noqa: S104
+    with serve_page(log_path, "--host", "0.0.0.0") as (printed, _):  # noqa: S104
         match = re.fullmatch(r"http://[^/]+:(\d+)/\?token=([\w-]{32})", printed)
         assert match is not None
         address = f"http://127.0.0.1:{match[1]}/"

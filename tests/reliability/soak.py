@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from night import Memory, night
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from imuarray.acquire import record
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.log.writer import Block
+from tests.reliability.night import Memory, night
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 RATE_HZ = 48.0

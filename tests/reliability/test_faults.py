@@ -4,8 +4,6 @@ good, the other sensors go on.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +13,7 @@ import pytest
 from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import ArrayConfig
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
-
-sys.path.insert(0, str(Path(__file__).parent))
-from night import Memory, Night, array_of, night
+from tests.reliability.night import Memory, Night, array_of, night
 
 TIMES = [
     pytest.param(20, id="20"),

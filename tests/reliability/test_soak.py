@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from soak import RATE_HZ, soak
+from tests.reliability.soak import RATE_HZ, soak
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from tests.fuse.conftest import Part, WriteRun
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short tumble of the emulated array, its calibration and a fused result."""
     folder = tmp_path_factory.mktemp("report")
     run = folder / "tumble.h5"
@@ -38,9 +38,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_each_file_has_its_section(made: Path, tmp_path: Path) -> None:
+def test_each_file_has_its_section(inputs: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    kinds = write_report([made / "fused.h5", made / "cal.toml", made / "tumble.h5"], page)
+    kinds = write_report([inputs / "fused.h5", inputs / "cal.toml", inputs / "tumble.h5"], page)
     assert list(kinds.values()) == ["fused result", "calibration", "log"]
     text = page.read_text()
     titles = re.findall(r'<h2 id="section-\d+">(.*?)</h2>', text)
@@ -60,12 +60,12 @@ def test_each_file_has_its_section(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
+def test_residuals_are_those_of_the_faces(inputs: Path, tmp_path: Path) -> None:
     """The calibration was fitted to these faces: the residual is the noise of their means. An ADXL345's z scatters by
     47 mg, 50 readings a face: 6.7 mg; twice that is beyond every rms over seven faces.
     """
     page = tmp_path / "page.html"
-    write_report([made / "cal.toml", made / "tumble.h5"], page)
+    write_report([inputs / "cal.toml", inputs / "tumble.h5"], page)
     table = page.read_text().split("residuals of the calibration</h2>")[1].split("</table>")[0]
     rms = [float(row.split("<td>")[-1].split("<")[0]) for row in table.split("<tr>")[2:]]
     assert len(rms) == 6
@@ -73,7 +73,7 @@ def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_failed_sensors_are_reported(made: Path, tmp_path: Path) -> None:
+def test_failed_sensors_are_reported(inputs: Path, tmp_path: Path) -> None:
     event = FaultEvent(1_500_000_000, "specific_force", "B<1>", ("x",), "range_reset", "isolated", 8.0, 40.0, range=2.0)
     back = replace(event, time_ns=9_000_000_000, state="readmitted")
     frames = FusedBlock(np.arange(50) * 20_000_000, {"specific_force": np.zeros((50, 3))})
@@ -105,7 +105,7 @@ def test_the_claimed_error_is_that_at_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_gap_diagnosis_is_shown_with_escaped_names(made: Path, tmp_path: Path) -> None:
+def test_a_gap_diagnosis_is_shown_with_escaped_names(inputs: Path, tmp_path: Path) -> None:
     table = {
         "verdict": "unexplained", "sentence": "<script>alert(1)</script>", "p": 0.001,
         "gap": {"before": 3.0, "after": 3.0, "floor": 1.0, "closed": 0.0, "closed_ci95": None, "domains": {}},
@@ -129,10 +129,10 @@ def test_a_gap_diagnosis_is_shown_with_escaped_names(made: Path, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_a_folder_is_replaced_by_its_files(made: Path, tmp_path: Path) -> None:
+def test_a_folder_is_replaced_by_its_files(inputs: Path, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for name in ("cal.toml", "fused.h5"):
-        (tmp_path / "in" / name).write_bytes((made / name).read_bytes())
+        (tmp_path / "in" / name).write_bytes((inputs / name).read_bytes())
     (tmp_path / "in" / "notes.txt").write_text("of no kind")
     kinds = write_report([tmp_path / "in"], tmp_path / "page.html")
     assert {Path(path).name: kind for path, kind in kinds.items()} == {
@@ -154,30 +154,30 @@ def test_other_files_are_refused_with_the_allowed_kinds(tmp_path: Path, name: st
 
 
 @pytest.mark.slow
-def test_an_existing_page_is_not_overwritten_and_a_missing_file_is_named(made: Path, tmp_path: Path) -> None:
+def test_an_existing_page_is_not_overwritten_and_a_missing_file_is_named(inputs: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text("mine")
     with pytest.raises(OutputExistsError):
-        write_report([made / "cal.toml"], page)
+        write_report([inputs / "cal.toml"], page)
     assert page.read_text() == "mine"
     with pytest.raises(ImuArrayError, match=r"none\.h5: no such file"):
         file_kind(tmp_path / "none.h5")
 
 
-def test_the_command_writes_a_page(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_page(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.html"
-    assert main(["report", str(made / "cal.toml"), "-o", str(page), "--json", "--title", "My array"]) == 0
-    assert json.loads(capsys.readouterr().out)["files"] == {str(made / "cal.toml"): "calibration"}
+    assert main(["report", str(inputs / "cal.toml"), "-o", str(page), "--json", "--title", "My array"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == {str(inputs / "cal.toml"): "calibration"}
     assert "<h1>My array</h1>" in page.read_text()
-    assert main(["report", str(made / "cal.toml"), "-o", str(page)]) == 2
+    assert main(["report", str(inputs / "cal.toml"), "-o", str(page)]) == 2
 
 
 @pytest.mark.slow
-def test_a_log_without_rest_has_a_table_of_its_recording(made: Path, tmp_path: Path) -> None:
-    with open_log(made / "tumble.h5") as log:
+def test_a_log_without_rest_has_a_table_of_its_recording(inputs: Path, tmp_path: Path) -> None:
+    with open_log(inputs / "tumble.h5") as log:
         rates = [len(sensor) for sensor in log.of("specific_force")]
     page = tmp_path / "page.html"
-    write_report([made / "tumble.h5"], page)
+    write_report([inputs / "tumble.h5"], page)
     row = page.read_text().split(">BMA1</th>")[1].split("</tr>")[0]
     assert f"<td>{rates[0]}</td>" in row
     assert np.isfinite(float(re.findall(r"<td>([\d.]+)</td>", row)[1]))

@@ -30,16 +30,16 @@ from imuarray.report.gap_page import (
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.effects import meaning
 from tests.html_page import Page
-from tests.report.made_diagnosis import (
+from tests.report.example_diagnoses import (
     CAUSES,
     DOMAINS,
     PULLS,
     SENSORS,
     USES,
-    made,
-    made_unexplained,
-    made_without_gap,
+    diagnosis_without_gap,
     overlays,
+    partial_diagnosis,
+    unexplained_diagnosis,
     where,
 )
 from tests.selection import some
@@ -69,7 +69,7 @@ def page_of(diagnosis: Diagnosis, folder: Path) -> Page:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
-    return page_of(made(), tmp_path_factory.mktemp("gap"))
+    return page_of(partial_diagnosis(), tmp_path_factory.mktemp("gap"))
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +80,12 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Page:
 @pytest.fixture
 def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
     monkeypatch.setattr(page_module, "find_spec", lambda name: None)
-    return page_of(made(), tmp_path)
+    return page_of(partial_diagnosis(), tmp_path)
 
 
 def evil() -> Diagnosis:
     """Every text from a file or a user is hostile."""
-    diagnosis = made()
+    diagnosis = partial_diagnosis()
     names = (EVIL, *SENSORS[1:])
     return replace(
         diagnosis,
@@ -127,10 +127,10 @@ def test_all_sections_are_in_order(page: Page) -> None:
 
 def test_the_sentence_and_the_verdict_come_first(page: Page) -> None:
     start = page.words[""]
-    assert made().sentence in start
+    assert partial_diagnosis().sentence in start
     assert "Gap between recording and simulation: partly explained" in start
     because = "Partly explained: only 86 % of the gap closes (explained from 95 % on). Chance alone: p < 0.0025"
-    assert start.index(because) < start.index(made().sentence)
+    assert start.index(because) < start.index(partial_diagnosis().sentence)
     assert "14 standard deviations (rms) before, 2.9 after, 1.0 without a gap: 86 % (75 to 94) closed" in start
     assert "probability of 31 %" in start
 
@@ -184,7 +184,7 @@ def test_parts_are_listed_with_their_pulls(page: Page) -> None:
 
 
 def test_missing_data_have_a_table(page: Page) -> None:
-    assert [row[1] for row in page.rows["What is missing"]] == ["missing", *made().missing]
+    assert [row[1] for row in page.rows["What is missing"]] == ["missing", *partial_diagnosis().missing]
 
 
 def test_the_closed_share_of_the_gap_is_tabulated(page: Page) -> None:
@@ -212,14 +212,14 @@ def test_a_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
 
 def test_open_questions_and_recordings_are_listed(page: Page) -> None:
     assert ["bistable_bias", "all", "at least eight boots"] in page.rows["What the recordings cannot show"]
-    assert made().next_experiment in page.words["Next experiment"]
+    assert partial_diagnosis().next_experiment in page.words["Next experiment"]
     judged = page.rows["Candidates that were examined"]
     assert judged[1] == ["tone", "add", "Gyro1", "0.94", "+120.0", "yes"]
     assert ["placebo", "add", "Gyro2", "0.02", "-0.3", "no"] in judged
     last = page.rows["Recordings and method"]
     assert ["heating.h5", "heating", "30 min", "7", "1", "1 234 567"] in last
-    assert ["seed", "7"] in last and ["model", "datasheet"] in last and ["1", made().notes[0]] in last
-    assert made().held_out in page.words["Recordings and method"]
+    assert ["seed", "7"] in last and ["model", "datasheet"] in last and ["1", partial_diagnosis().notes[0]] in last
+    assert partial_diagnosis().held_out in page.words["Recordings and method"]
 
 
 def test_curves_have_descriptions(page: Page) -> None:
@@ -249,7 +249,7 @@ def test_without_matplotlib_the_page_has_only_tables(bare: Page) -> None:
 
 @pytest.mark.slow
 def test_a_page_without_a_gap_states_it(tmp_path: Path) -> None:
-    page = page_of(made_without_gap(), tmp_path)
+    page = page_of(diagnosis_without_gap(), tmp_path)
     assert "No gap: no statistic differs beyond chance. Chance alone: p = 0.41." in page.words[""]
     assert "nothing to close" not in page.words[""]
     assert "No cause was found." in page.words["Causes"]
@@ -279,7 +279,7 @@ def test_a_page_without_a_gap_states_it(tmp_path: Path) -> None:
     ],
 )
 def test_the_verdict_on_a_partly_explained_gap(causes: Sequence[Cause], sentence: str) -> None:
-    verdict = gap_verdict(replace(made(), causes=tuple(causes)))
+    verdict = gap_verdict(replace(partial_diagnosis(), causes=tuple(causes)))
     assert verdict.sentence.startswith(sentence)
     assert ("1", "cause") in verdict.figures
 
@@ -287,14 +287,14 @@ def test_the_verdict_on_a_partly_explained_gap(causes: Sequence[Cause], sentence
 @pytest.mark.slow
 def test_improbable_causes_are_counted(tmp_path: Path) -> None:
     causes = (CAUSES[0], replace(CAUSES[1], probability=0.004))
-    page = page_of(replace(made(), causes=causes, overlays=()), tmp_path)
+    page = page_of(replace(partial_diagnosis(), causes=causes, overlays=()), tmp_path)
     assert [row[0].partition("\n")[0] for row in page.rows["Causes"]] == ["effect", "thermal_lag"]
     assert "1 less probable cause: see gap.json." in page.words["Causes"]
 
 
 @pytest.mark.slow
 def test_a_page_of_an_unexplained_gap_states_it(tmp_path: Path) -> None:
-    page = page_of(made_unexplained(), tmp_path)
+    page = page_of(unexplained_diagnosis(), tmp_path)
     assert "Unexplained: no known effect was accepted as a cause." in page.words[""]
     assert "probability of 93 %" in page.words[""]
     assert ["all", "5.1", "4.9", "5 % (below 0 to 14)"] in page.rows["How much of the gap closes"]
@@ -303,7 +303,7 @@ def test_a_page_of_an_unexplained_gap_states_it(tmp_path: Path) -> None:
 
 def test_a_page_without_any_statistic_states_it(tmp_path: Path) -> None:
     none = np.full((2, 1), nan)
-    silent = replace(made_without_gap(), map=Map(("a", "b"), ("level",), none, none, 4.0), unshown=(), recorded=())
+    silent = replace(diagnosis_without_gap(), map=Map(("a", "b"), ("level",), none, none, 4.0), unshown=(), recorded=())
     page = page_of(silent, tmp_path)
     assert page.images == {}
     assert "No statistic is available for any sensor" in page.words["Where the gap is"]
@@ -311,7 +311,7 @@ def test_a_page_without_any_statistic_states_it(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_many_curves_are_counted(tmp_path: Path) -> None:
-    page = page_of(replace(made(), overlays=overlays()[3:] * 16), tmp_path)
+    page = page_of(replace(partial_diagnosis(), overlays=overlays()[3:] * 16), tmp_path)
     assert len(page.images["Curves: real, before and after"]) == MOST_OVERLAYS
     assert "Shown are the 12 of 16 that lay farthest outside before." in page.words["Curves: real, before and after"]
 
@@ -320,11 +320,11 @@ def test_a_page_is_overwritten_only_with_force(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text("mine")
     with pytest.raises(OutputExistsError):
-        write_gap_page(path, made_without_gap())
+        write_gap_page(path, diagnosis_without_gap())
     assert path.read_text() == "mine"
 
 
-@pytest.mark.parametrize("diagnosis", [made(), made_without_gap(), made_unexplained(), evil()])
+@pytest.mark.parametrize("diagnosis", [partial_diagnosis(), diagnosis_without_gap(), unexplained_diagnosis(), evil()])
 def test_as_json_is_strict_json(diagnosis: Diagnosis) -> None:
     read = json.loads(json.dumps(diagnosis.as_json(), allow_nan=False))
     assert read["verdict"] == diagnosis.verdict and read["gap"]["closed"] == diagnosis.gap.closed
@@ -341,7 +341,7 @@ def test_every_effect_has_a_meaning() -> None:
 
 @pytest.mark.slow
 def test_both_maps_share_a_scale_with_a_break_at_the_limit() -> None:
-    shown = made().map
+    shown = partial_diagnosis().map
     images = [map_figure(scores, shown, "").axes[0].collections[0] for scores in (shown.before, shown.after)]
     before, after = (image.norm for image in images)
     places = np.array([0.0, 2.1, 4.2, 42.0, 412.3])
@@ -372,7 +372,7 @@ def test_axes_are_logarithmic_where_usual() -> None:
     assert panels[0].get_xlabel() == "frequency (Hz)" and panels[0].get_ylabel() == "density (dps/√Hz)"
 
 
-@pytest.mark.parametrize("diagnosis", [made(), made_unexplained()])
+@pytest.mark.parametrize("diagnosis", [partial_diagnosis(), unexplained_diagnosis()])
 def test_bars_begin_at_the_visible_floor(diagnosis: Diagnosis) -> None:
     panel = shrink_figure(diagnosis.gap).axes[0]
     low, high = panel.get_xlim()

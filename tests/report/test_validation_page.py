@@ -23,7 +23,7 @@ from imuarray.validation.rates import Bin, RateEstimate
 from imuarray.validation.score_rows import Closure, Confusion, DetectionCurve, ScoreRow
 from imuarray.validation.scoring import Figures, format_row, score_folder
 from tests.html_page import Page
-from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, gap_diagnosis, put
+from tests.validation.run_folder import NO_GAP, THERE_OR_NOT, RunFolder, cause, gap_diagnosis, put
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\frac{$ `|` \x1b[2J"
 COMMAND = "imuarray gap validate --half sealed <here>"
@@ -39,22 +39,22 @@ ORDER = [
 ]
 
 
-def filled(made: Made, name: str = "mains_ripple", effect: str = "tone") -> Figures:
+def filled(run: RunFolder, name: str = "mains_ripple", effect: str = "tone") -> Figures:
     """40 controls, 2 of them alarms; 10 of a mechanism, 9 of them right, one of them taken for `effect`."""
     for number in range(40):
-        made.both("none", gap_diagnosis(cause(effect, 0.3)) if number < 2 else NO_GAP)
+        run.both("none", gap_diagnosis(cause(effect, 0.3)) if number < 2 else NO_GAP)
     for number in range(10):
         diagnosis = gap_diagnosis(cause("tone" if number else "scale", 0.85), closed=0.8 if number else 0.1)
-        made.both("single", diagnosis, put(name, 5.0), resembles=[("tone",)], oracle=0.82)
-    made.both("single", NO_GAP, put(name, 2.0), resembles=[("tone",)], plan=EVIL if effect == EVIL else "static")
-    made.both("single", gap_diagnosis(cause(effect, 0.1)), put("torn_reads", THERE_OR_NOT), resembles=[("scale",)])
-    made.answer(made.case("none"), {}, error=f"ValueError: {effect}")
-    return score_folder(made.folder)
+        run.both("single", diagnosis, put(name, 5.0), resembles=[("tone",)], oracle=0.82)
+    run.both("single", NO_GAP, put(name, 2.0), resembles=[("tone",)], plan=EVIL if effect == EVIL else "static")
+    run.both("single", gap_diagnosis(cause(effect, 0.1)), put("torn_reads", THERE_OR_NOT), resembles=[("scale",)])
+    run.answer(run.case("none"), {}, error=f"ValueError: {effect}")
+    return score_folder(run.folder)
 
 
 @pytest.fixture(scope="module")
 def figures(tmp_path_factory: pytest.TempPathFactory) -> Figures:
-    return filled(Made(tmp_path_factory.mktemp("run")))
+    return filled(RunFolder(tmp_path_factory.mktemp("run")))
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_plots_have_descriptions(page: Page) -> None:
 
 @pytest.mark.slow
 def test_names_are_escaped(tmp_path: Path) -> None:
-    hostile = filled(Made(tmp_path / "run", plan={"half": EVIL, "frozen": {EVIL: EVIL}}), EVIL, EVIL)
+    hostile = filled(RunFolder(tmp_path / "run", plan={"half": EVIL, "frozen": {EVIL: EVIL}}), EVIL, EVIL)
     path = tmp_path / "page.html"
     write_validation_page(path, hostile, command=EVIL)
     text = path.read_text(encoding="utf-8")
@@ -166,7 +166,7 @@ def test_without_matplotlib_the_page_has_only_tables(
 
 
 def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
-    score = score_folder(Made(tmp_path / "run", plan={}).folder)
+    score = score_folder(RunFolder(tmp_path / "run", plan={}).folder)
     write_validation_page(tmp_path / "page.html", score)
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
     assert page.alternatives == [] and list(page.rows) == ORDER

@@ -22,7 +22,7 @@ from imuarray.report.gap_page import gap_verdict
 from imuarray.report.log_page import log_sections
 from imuarray.report.page import Table
 from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict, techniques_verdict
-from tests.report.made_diagnosis import made, made_unexplained, made_without_gap
+from tests.report.example_diagnoses import diagnosis_without_gap, partial_diagnosis, unexplained_diagnosis
 from tests.selection import some
 
 ACC = SensorHeader("Acc", "bma180", "specific_force", "g", 4.0, 2048.0)
@@ -188,22 +188,24 @@ def test_the_verdict_of_several_files_is_that_of_the_worst() -> None:
 
 
 def test_the_verdict_on_a_gap_states_whether_the_simulator_is_good_enough() -> None:
-    assert gap_verdict(made_without_gap()).sentence.startswith("The simulator is good enough for what these recordings")
-    assert gap_verdict(made_without_gap()).level == "good"
-    assert gap_verdict(made_unexplained()).level == "bad"
-    for diagnosis in (made(), made_without_gap(), made_unexplained()):
+    assert gap_verdict(diagnosis_without_gap()).sentence.startswith(
+        "The simulator is good enough for what these recordings"
+    )
+    assert gap_verdict(diagnosis_without_gap()).level == "good"
+    assert gap_verdict(unexplained_diagnosis()).level == "bad"
+    for diagnosis in (partial_diagnosis(), diagnosis_without_gap(), unexplained_diagnosis()):
         verdict = gap_verdict(diagnosis)
         assert 3 <= len(verdict.figures) <= 5
         assert verdict.sentence.count(". ") == 0  # one sentence
-    named = gap_verdict(replace(made(), verdict="explained"))
+    named = gap_verdict(replace(partial_diagnosis(), verdict="explained"))
     assert named.level == "doubtful"
-    effects = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in made().causes))
+    effects = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in partial_diagnosis().causes))
     assert effects[0] in named.sentence
     assert named.sentence.endswith(
         "added most of the gap closes, but ADXL1 still differs by more than matters to a user."
     )
-    harmless = tuple(place for place in made().unexplained if place.size != "material")
-    enough = gap_verdict(replace(made(), verdict="explained", unexplained=harmless))
+    harmless = tuple(place for place in partial_diagnosis().unexplained if place.size != "material")
+    enough = gap_verdict(replace(partial_diagnosis(), verdict="explained", unexplained=harmless))
     assert harmless and enough.sentence.endswith("added it is good enough.")
 
 

@@ -61,7 +61,7 @@ range = 250
 
 
 @contextmanager
-def served(config: Path) -> Iterator[int]:
+def serve_array(config: Path) -> Iterator[int]:
     """The emulated array of `config` in a separate process, as a user starts it; its port."""
     command = [sys.executable, "-m", "firmware_emulator", str(config), "--usbip", "--port", "0"]
     with subprocess.Popen([*command, "--query", f"seed={SEED}"], stdout=subprocess.PIPE, text=True) as process:

@@ -11,7 +11,7 @@ import sys
 import threading
 from pathlib import Path
 
-from tests.system.on_a_real_bus import BUSYBOX, DEVICES, LOGS, Bench, wait_for
+from tests.system.guest_program import BUSYBOX, DEVICES, LOGS, Bench, wait_for
 
 IIO = Path("/sys/bus/iio/devices")
 QUEUED = {"mpu6050": 0x68, "lsm6dso": 0x6A}

@@ -21,7 +21,7 @@ from firmware_emulator.array import open_bus
 from imuarray.array import parse_array
 from imuarray.log import Log, open_log
 from tests.system.conftest import SHARE, HostGuest, module_bytes
-from tests.system.tapped import Rows, TappedWire, lsm6dso_rows, mpu_rows, served
+from tests.system.usbip_tap import Rows, WireTap, lsm6dso_rows, mpu_rows, serve_array
 
 pytestmark = pytest.mark.slow
 
@@ -86,7 +86,7 @@ KERNEL_TIME = "CLOCK_MONOTONIC of the kernel's driver"
 
 
 @pytest.fixture(scope="module")
-def results(host_guest: HostGuest) -> tuple[Path, TappedWire]:
+def results(host_guest: HostGuest) -> tuple[Path, WireTap]:
     """The folder with the files of the guest, and the bytes of the chips."""
     folder = host_guest.share
     for name, text in CONFIGS.items():
@@ -94,8 +94,8 @@ def results(host_guest: HostGuest) -> tuple[Path, TappedWire]:
     for module in (TRIGGER_MODULE, INTERRUPT_MODULE):
         if (path := host_guest.module(module)) is not None:
             (folder / f"{module}.ko").write_bytes(module_bytes(path))
-    wire = TappedWire(open_bus({"clock": "real", "seed": "7"}, parse_array(BOARD)).wire)
-    with served({"": wire}, "kernel iio") as port:
+    wire = WireTap(open_bus({"clock": "real", "seed": "7"}, parse_array(BOARD)).wire)
+    with serve_array({"": wire}, "kernel iio") as port:
         script = f"""#!/bin/sh
             export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root PYTHONDONTWRITEBYTECODE=1 OPENBLAS_NUM_THREADS=1
             cd {ROOT}
@@ -113,7 +113,7 @@ def needs(folder: Path, module: str) -> None:
         pytest.skip(f"no module {module}; tests/system/build_kernel_modules builds it")
 
 
-def register_rows(wire: TappedWire, name: str) -> Rows:
+def register_rows(wire: WireTap, name: str) -> Rows:
     """The triads of a sensor whose registers were read axis by axis."""
     address, registers, order = DATA[name]
     bit = COUNTS_ON.get(address, 0)
@@ -128,7 +128,7 @@ def register_rows(wire: TappedWire, name: str) -> Rows:
     return [list(row) for row in zip(*axes, strict=False)]
 
 
-def queue_rows(wire: TappedWire, name: str) -> Rows:
+def queue_rows(wire: WireTap, name: str) -> Rows:
     """The triads of a sensor in the bytes of the queue of its chip."""
     is_force = name[0] == "A"
     if name[1] == "2":
@@ -136,7 +136,7 @@ def queue_rows(wire: TappedWire, name: str) -> Rows:
     return [row[:3] if is_force else row[3:] for row in mpu_rows(wire, 0x68)]
 
 
-def check_log(log: Log, given_by: Callable[[TappedWire, str], Rows], wire: TappedWire, least: int) -> None:
+def check_log(log: Log, given_by: Callable[[WireTap, str], Rows], wire: WireTap, least: int) -> None:
     """The rows are the readings of the chip, in order and complete but for the ends."""
     assert log.source == "iio"
     for name, logged in log.sensors.items():
@@ -159,7 +159,7 @@ def ended(folder: Path, name: str) -> int:
     return code
 
 
-def test_attributes_of_devices_are_logged(results: tuple[Path, TappedWire]) -> None:
+def test_attributes_of_devices_are_logged(results: tuple[Path, WireTap]) -> None:
     folder, wire = results
     assert {"mpu6050", "lsm6dso_accel", "lsm6dso_gyro"} <= set(json.loads((folder / "names.json").read_text()))
     assert ended(folder, "detect") == 0, (folder / "detect.out").read_text()
@@ -169,7 +169,7 @@ def test_attributes_of_devices_are_logged(results: tuple[Path, TappedWire]) -> N
         check_log(log, register_rows, wire, least=5)
 
 
-def test_buffers_that_a_trigger_fills_are_logged(results: tuple[Path, TappedWire]) -> None:
+def test_buffers_that_a_trigger_fills_are_logged(results: tuple[Path, WireTap]) -> None:
     folder, wire = results
     needs(folder, TRIGGER_MODULE)
     ended(folder, "captured")
@@ -179,7 +179,7 @@ def test_buffers_that_a_trigger_fills_are_logged(results: tuple[Path, TappedWire
         assert {log[name].attributes["time_source"] for name in log.sensors} == {KERNEL_TIME}
 
 
-def test_queues_of_chips_are_logged(results: tuple[Path, TappedWire]) -> None:
+def test_queues_of_chips_are_logged(results: tuple[Path, WireTap]) -> None:
     """Samples that the kernel's drivers read from the queues of two six-axis chips, and push into their buffers."""
     folder, wire = results
     needs(folder, INTERRUPT_MODULE)

@@ -18,7 +18,7 @@ import pytest
 from imuarray.acquire import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
-from tests.system.bench import SEED, served
+from tests.system.bench import SEED, serve_array
 from tests.system.guest_readings import addresses, numbers, own_readings, sections
 
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "bmp280-i2c", "st_magn_i2c", "ak8975", "inv-mpu6050-i2c")
@@ -102,7 +102,7 @@ def test_the_kernel_reads_the_barometers_and_magnetometers(
 ) -> None:
     config = tmp_path / "shelf.toml"
     config.write_text(CONFIG)
-    with served(config) as port:
+    with serve_array(config) as port:
         outputs = sections(guest(SCRIPT.format(port=port, readings=READINGS), MODULES, TIMEOUT_S))
     assert "end" in outputs, outputs
     assert addresses(outputs["closed"]) == {0x1C, 0x68, 0x76, 0x77}

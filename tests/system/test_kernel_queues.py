@@ -19,7 +19,7 @@ import pytest
 from firmware_emulator.array import open_array
 from imuarray.array import parse_array
 from tests.system.guest_readings import sections
-from tests.system.tapped import Rows, TappedWire, icm_rows, lsm6dso_rows, mpu_rows, served
+from tests.system.usbip_tap import Rows, WireTap, icm_rows, lsm6dso_rows, mpu_rows, serve_array
 
 pytestmark = pytest.mark.slow
 
@@ -86,11 +86,11 @@ section end
 
 
 @pytest.fixture(scope="module")
-def wires() -> dict[str, TappedWire]:
+def wires() -> dict[str, WireTap]:
     """The wires of the array; their bytes once the guest has ended."""
     array = parse_array(BOARD)
     bus = open_array(array, clock="real", seed=7, switches={"A3": {"identity": ICM42605}})
-    return {name: TappedWire(wire) for name, wire in bus.wires.items()}
+    return {name: WireTap(wire) for name, wire in bus.wires.items()}
 
 
 def scans(outputs: dict[str, str], name: str) -> bytes:
@@ -141,9 +141,9 @@ def check_rows(taken: Rows, given: Rows) -> None:
 
 
 def test_the_kernels_buffers_contain_the_bytes_of_the_queues(
-    guest: Callable[[str, Iterable[str], float], str], wires: dict[str, TappedWire]
+    guest: Callable[[str, Iterable[str], float], str], wires: dict[str, WireTap]
 ) -> None:
-    with served(wires, "kernel queues") as port:
+    with serve_array(wires, "kernel queues") as port:
         starts = "\n".join(f"start {name} {rate_hz}" for name, rate_hz in DEVICES.items())
         script = SCRIPT.format(port=port, devices=" ".join(DEVICES), starts=starts)
         outputs = sections(guest(script, MODULES, LIMIT_S))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.system.bench import CONFIG, served
+from tests.system.bench import CONFIG, serve_array
 from tests.system.guest_readings import addresses, numbers, own_readings, sections
 
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "st_gyro_i2c", "bmp280-i2c", "hmc5843_i2c")
@@ -65,7 +65,7 @@ section end
 def test_the_kernel_reads_the_emulated_array(guest: Callable[[str, Iterable[str], float], str], tmp_path: Path) -> None:
     config = tmp_path / "bench.toml"
     config.write_text(CONFIG)
-    with served(config) as port:
+    with serve_array(config) as port:
         script = SCRIPT.format(port=port, readings=READINGS, gyro_readings=GYRO_READINGS)
         outputs = sections(guest(script, MODULES, TIMEOUT_S))
     assert "end" in outputs, outputs

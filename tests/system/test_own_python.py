@@ -1,6 +1,6 @@
 """This project's commands in a guest, on the kernel's own /dev/i2c-N: their results, checked from outside.
 
-One boot and one Python process for all (`on_a_real_bus`): the first import alone takes longer than all the rest
+One boot and one Python process for all (`guest_program`): the first import alone takes longer than all the rest
 there. The array is plugged in over USB/IP, and pulled out. It takes minutes, so it is a campaign:
 `tests/bus/test_linux.py` logs through emulated device files, and in `tests/system/test_kernel_usbip.py` the kernel's
 own drivers read the array.
@@ -18,12 +18,12 @@ import pytest
 
 from imuarray.log import Log, open_log
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED
-from tests.system.bench import CONFIG, served
+from tests.system.bench import CONFIG, serve_array
 from tests.system.conftest import SHARE, HostGuest, module_bytes
 
 pytestmark = pytest.mark.campaign
 
-PROGRAM = Path(__file__).with_name("on_a_real_bus.py")
+PROGRAM = Path(__file__).with_name("guest_program.py")
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "i2c-mux", "st_gyro_i2c")
 APART = ("i2c-stub", "i2c-mux-pca954x")
 """Modules that are not loaded at boot; the second is not Debian's: `build_kernel_modules` builds it."""
@@ -55,7 +55,7 @@ def results(host_guest: HostGuest) -> Results:
     for name in APART:
         if (path := host_guest.module(name)) is not None:
             (folder / f"{name}.ko").write_bytes(module_bytes(path))
-    with served(folder / "bench.toml") as port:
+    with serve_array(folder / "bench.toml") as port:
         script = f"""#!/bin/sh
             export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root PYTHONDONTWRITEBYTECODE=1 OPENBLAS_NUM_THREADS=1
             cd {ROOT}

@@ -18,7 +18,7 @@ import pytest
 
 from imuarray.log import open_log
 from imuarray.log.journal import journal_of
-from tests.system.bench import CONFIG, served
+from tests.system.bench import CONFIG, serve_array
 from tests.system.conftest import SHARE, HostGuest, require
 
 pytestmark = pytest.mark.campaign
@@ -127,7 +127,7 @@ def results(host_guest: HostGuest) -> Results:
     (folder / "quicker.conf").write_text(QUICKER)
     (folder / "check.service").write_text(ONCE)
     shutil.copy(ROOT / "configs" / "imuarray-log@.service", folder)
-    with served(folder / "bench.toml") as port:
+    with serve_array(folder / "bench.toml") as port:
         (folder / "check").write_text(CHECK.replace("PORT", str(port)))
         written = host_guest.run(PREPARE, MODULES, TIMEOUT_S)
     parts = (part.partition("\n") for part in written.split("## ")[1:])

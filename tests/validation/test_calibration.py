@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from imuarray.validation.calibration import CauseClaim, claims_in, confusable_pairs, cross_validate, fit_rates, program
 from imuarray.validation.score_answers import read_run
-from tests.validation.made_run import Made, cause, gap_diagnosis, put
+from tests.validation.run_folder import RunFolder, cause, gap_diagnosis, put
 
 
 @pytest.mark.slow
@@ -39,13 +39,13 @@ def test_causes_of_a_run_are_counted_as_right_or_wrong(tmp_path: Path) -> None:
     """A right cause, a cause at another sensor, and a cause without a share; a pair is counted, an effect to remove is
     not.
     """
-    made = Made(tmp_path)
+    run = RunFolder(tmp_path)
     right, other = (cause("tone", 0.7, sensor, share=0.95, all_closed=0.9) for sensor in ("Gyro1", "Gyro3"))
-    made.both("single", gap_diagnosis(right, other, cause("axis_error", 0.9, share=None)), put("mains_ripple"))
-    made.both(
+    run.both("single", gap_diagnosis(right, other, cause("axis_error", 0.9, share=None)), put("mains_ripple"))
+    run.both(
         "pair", gap_diagnosis(cause("scale", 0.7, share=0.4, all_closed=None)), put("mains_ripple"), put("torn_reads")
     )
-    made.both("removal", gap_diagnosis(right), extra={"effect": "tone", "sensor": "Gyro1"})
+    run.both("removal", gap_diagnosis(right), extra={"effect": "tone", "sensor": "Gyro1"})
     claims = claims_in(read_run(tmp_path).answers)
     assert claims == [CauseClaim(0.95, 0.9, True), CauseClaim(0.95, 0.9, False), CauseClaim(0.4, 0.0, False)]
     printed = CliRunner().invoke(program, [str(tmp_path)]).output
@@ -57,10 +57,10 @@ def test_confusions_are_counted(tmp_path: Path) -> None:
     """Three of four ripples: one is named a scale, two a tone, one a jitter; a case without a cause is
     not a confusion.
     """
-    made = Made(tmp_path)
+    run = RunFolder(tmp_path)
     for first in ("scale", "scale", "tone", "tone", "tone", "jitter"):
-        made.both("single", gap_diagnosis(cause(first)), put("mains_ripple"))
-    made.both("single", gap_diagnosis(verdict="unexplained"), put("mains_ripple"))
+        run.both("single", gap_diagnosis(cause(first)), put("mains_ripple"))
+    run.both("single", gap_diagnosis(verdict="unexplained"), put("mains_ripple"))
     (pair,) = confusable_pairs(read_run(tmp_path).answers)
     assert pair == ("tone", "scale", 2, 6)
 
@@ -71,11 +71,11 @@ def test_probabilities_are_scored_by_rates_of_other_worlds(tmp_path: Path) -> No
     some predict about a half for the others; for a second kind of world in which they are never right the prediction is
     far off.
     """
-    made = Made(tmp_path)
+    run = RunFolder(tmp_path)
     diagnosis = gap_diagnosis(cause("tone", 0.9, share=0.95, all_closed=0.9))
     for number in range(60):
-        made.both("single", diagnosis, put("mains_ripple" if number % 2 else "torn_reads"))
-    other = Made(tmp_path / "other")
+        run.both("single", diagnosis, put("mains_ripple" if number % 2 else "torn_reads"))
+    other = RunFolder(tmp_path / "other")
     for _ in range(20):
         other.both("single", diagnosis, put("torn_reads"))
     answers = read_run(tmp_path).answers

@@ -10,30 +10,30 @@ from imuarray.report.validation_page import markdown, summary_lines
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.scoring import as_json, format_text, score_folder, split_figures
-from tests.validation.made_run import NO_GAP, Made, cause, gap_diagnosis, put
+from tests.validation.run_folder import NO_GAP, RunFolder, cause, gap_diagnosis, put
 
 CHIPS = {"Gyro1": "l3g4200d", "BMA1": "bma180"}
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Made:
+def run(tmp_path: Path) -> RunFolder:
     """Ten of ten first causes are right in the worlds of the emulator, six of ten in the other worlds; these have four
     false alarms in ten, the emulator none.
     """
-    made = Made(tmp_path)
+    run = RunFolder(tmp_path)
     for world, right in (("emulator", 10), ("foreign", 6)):
         for number in range(10):
             first = cause("tone" if number < right else "scale")
             plan = "heating+static" if number % 2 else "static"
-            made.both("single", gap_diagnosis(first), put("mains_ripple"), plan=plan, world=world, chips=CHIPS)
+            run.both("single", gap_diagnosis(first), put("mains_ripple"), plan=plan, world=world, chips=CHIPS)
         for number in range(4):
             diagnosis = gap_diagnosis() if world == "foreign" and number == 0 else NO_GAP
-            made.both("none", diagnosis, plan="static", world=world, chips=CHIPS)
-    return made
+            run.both("none", diagnosis, plan="static", world=world, chips=CHIPS)
+    return run
 
 
 @pytest.mark.slow
-def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
+def test_each_world_has_its_figures_and_its_bars(run: RunFolder) -> None:
     score = score_folder(run.folder)
     assert score.world == "emulator"
     assert list(score.worlds) == ["emulator", "foreign"]
@@ -48,7 +48,7 @@ def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
 
 
 @pytest.mark.slow
-def test_the_loss_between_worlds_is_reported_first(run: Made) -> None:
+def test_the_loss_between_worlds_is_reported_first(run: RunFolder) -> None:
     figures_ = score_folder(run.folder)
     lost = {transfer.name: transfer.lost for transfer in figures_.transfers}
     assert lost["right cause first"] == pytest.approx(0.4)
@@ -63,7 +63,7 @@ def test_the_loss_between_worlds_is_reported_first(run: Made) -> None:
     assert {"name": "false alarms", "emulator": 0.0, "foreign": 0.25, "lost": 0.25} in table["transfer"]
 
 
-def test_parts_are_compared_with_the_rest(run: Made) -> None:
+def test_parts_are_compared_with_the_rest(run: RunFolder) -> None:
     """Five cases of the emulator with heating, nine without; the sensors of all of them have one chip."""
     answers = [item for item in read_run(run.folder).answers if item.case.world == "foreign"]
     parts = {(item.part, item.figure): item for item in split_figures(answers, {})}
@@ -75,18 +75,18 @@ def test_parts_are_compared_with_the_rest(run: Made) -> None:
 
 @pytest.mark.slow
 def test_causes_of_the_control_are_ignored_in_its_cases(tmp_path: Path) -> None:
-    made = Made(tmp_path)
-    control = made.both("none", gap_diagnosis(cause("quantisation", 0.9, "BMA1")), world="real")
+    run = RunFolder(tmp_path)
+    control = run.both("none", gap_diagnosis(cause("quantisation", 0.9, "BMA1")), world="real")
     diagnosis = gap_diagnosis(cause("quantisation", 0.95, "BMA1"), cause("tone", 0.7, "BMA1"))
-    made.both("single", diagnosis, put("mains_ripple", 5.0, "BMA1"), world="real", control=control.name)
+    run.both("single", diagnosis, put("mains_ripple", 5.0, "BMA1"), world="real", control=control.name)
     score = score_folder(tmp_path)
     assert score.row("right cause first").value == 1.0
     assert score.row("right cause first, 5x and above").bar == (0.80, None)
 
 
 def test_unobservable_mechanisms_are_not_counted_in_detection(tmp_path: Path) -> None:
-    made = Made(tmp_path)
-    made.both("single", NO_GAP, put("reference_voltage"), plan="static", world="emulator", is_hidden=True)
+    run = RunFolder(tmp_path)
+    run.both("single", NO_GAP, put("reference_voltage"), plan="static", world="emulator", is_hidden=True)
     score = score_folder(tmp_path)
     assert score.row("detection at 5x the limit").cases == 0
     assert score.row("effects that a plan can't show, reported so").cases == 1
@@ -111,7 +111,7 @@ def test_a_case_of_an_older_version_is_read() -> None:
 @pytest.mark.slow
 def test_defects_of_a_world_are_not_false_alarms(tmp_path: Path) -> None:
     """Two wrongly noted faces are rightly reported, alone and explained; likewise a room with vibration."""
-    made = Made(tmp_path)
+    run = RunFolder(tmp_path)
     labels, shaken = {"labels": "some wrong"}, {"vibration": "fan"}
     for strata, diagnosis in (
         (labels, gap_diagnosis(cause("face_error"))),
@@ -120,20 +120,20 @@ def test_defects_of_a_world_are_not_false_alarms(tmp_path: Path) -> None:
         (shaken, gap_diagnosis(cause("face_error"))),
         (labels, NO_GAP),
     ):
-        made.both("none", diagnosis, plan="static", world="emulator", chips=CHIPS, strata=strata)
-    row = score_folder(made.folder).row("false alarms")
+        run.both("none", diagnosis, plan="static", world="emulator", chips=CHIPS, strata=strata)
+    row = score_folder(run.folder).row("false alarms")
     assert (row.value, row.cases) == (pytest.approx(2 / 5), 5)
 
 
 @pytest.mark.slow
 def test_defects_of_a_world_are_ignored_before_the_first_cause(tmp_path: Path) -> None:
     """The mechanism is named after wrong labels, and a line in a room with vibration may be that of the mechanism."""
-    made = Made(tmp_path)
+    run = RunFolder(tmp_path)
     for strata, diagnosis in (
         ({"labels": "some wrong"}, gap_diagnosis(cause("face_error"), cause("tone"))),
         ({"vibration": "fan"}, gap_diagnosis(cause("common_mode"), cause("tone"))),
         ({}, gap_diagnosis(cause("face_error"), cause("tone"))),
     ):
-        made.both("single", diagnosis, put("mains_ripple"), plan="static", world="emulator", chips=CHIPS, strata=strata)
-    row = score_folder(made.folder).row("right cause first")
+        run.both("single", diagnosis, put("mains_ripple"), plan="static", world="emulator", chips=CHIPS, strata=strata)
+    row = score_folder(run.folder).row("right cause first")
     assert (row.value, row.cases) == (pytest.approx(2 / 3), 3)

@@ -1,8 +1,8 @@
-"""What one writes first: scripts with numpy, h5py, scipy, matplotlib and mcap that come to what a command comes to.
+"""Scripts as a user writes them first, with numpy, h5py, scipy, matplotlib and mcap, for the result of a command.
 
-`python bare.py NAME LOG OUTPUT` runs one of them as a process of its own (`commands.py` does). All of a log is held in
-memory, frames and messages are gone through one by one, and nothing is checked: no flags, no gaps, no times but the
-first sensor's.
+`python short_scripts.py NAME LOG OUTPUT` runs one of them in a process (as `commands.py` does). They hold a whole log
+in memory, process frames and messages one by one, and check nothing: no flags, no gaps, no times except those of the
+first sensor.
 """
 
 from __future__ import annotations

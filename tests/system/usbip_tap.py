@@ -13,7 +13,7 @@ from firmware_emulator.serve import UsbipServer
 Rows = list[list[int]]
 
 
-class TappedWire:
+class WireTap:
     """A wire that records each transfer: address, register, bytes that were read."""
 
     def __init__(self, wire: Any) -> None:
@@ -39,7 +39,7 @@ class TappedWire:
 
 
 @contextmanager
-def served(wires: Mapping[str, TappedWire], name: str) -> Iterator[int]:
+def serve_array(wires: Mapping[str, WireTap], name: str) -> Iterator[int]:
     """Serve the wires, each as a separate adapter; the port."""
     with UsbipServer(wires, name, port=0) as server:  # type: ignore[arg-type]
         thread = threading.Thread(target=server.serve_forever)
@@ -56,20 +56,20 @@ def words(data: bytes, order: str) -> list[int]:
     return [value for (value,) in struct.iter_unpack(f"{order}h", data)]
 
 
-def mpu_rows(wire: TappedWire, address: int) -> Rows:
+def mpu_rows(wire: WireTap, address: int) -> Rows:
     """Records of an MPU's queue with acceleration, temperature and rate: the six of the triads (INV-27)."""
     records = [words(part, ">") for part in wire.given(address, 0x74)]
     return [record[:3] + record[4:] for record in records if len(record) == 7]
 
 
-def lsm6dso_rows(wire: TappedWire, address: int, tag: int) -> Rows:
+def lsm6dso_rows(wire: WireTap, address: int, tag: int) -> Rows:
     """Triads of one tag in the bytes of an LSM6DSO's queue: 1 is the rate, 2 the acceleration (LSM-50)."""
     queue = b"".join(wire.given(address, 0x78))
     pieces = [queue[at : at + 7] for at in range(0, len(queue) - 6, 7)]
     return [words(piece[1:], "<") for piece in pieces if piece[0] >> 3 == tag]
 
 
-def icm_rows(wire: TappedWire, address: int, half: int) -> Rows:
+def icm_rows(wire: WireTap, address: int, half: int) -> Rows:
     """Valid triads of one half in the bytes of an ICM-426xx's queue: 0 acceleration, 1 rate. A header states which
     are present; a packet of both has 16 bytes, of one 8 (TDK-81, TDK-82); -32768 is no reading (TDK-13). What a read
     left of a packet is in the next (TDK-86).

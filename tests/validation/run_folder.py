@@ -61,7 +61,7 @@ NO_GAP = gap_diagnosis(verdict="no gap", closed=None, ci95=None, unknown=0.0)
 
 
 @dataclass
-class Made:
+class RunFolder:
     """A run's folder that grows."""
 
     folder: Path

@@ -23,7 +23,7 @@ G = 9.80665
 
 
 @dataclass(frozen=True)
-class Tumbled:
+class HandTumble:
     """Rests of `rest_s` in every one of `attitudes` (box to level frame), turns of `turn_s` about one axis each."""
 
     attitudes: Rotation
@@ -71,7 +71,7 @@ def attitudes(count: int, rng: np.random.Generator, least_deg: float = 40.0, mos
 
 def record(
     path: Path,
-    motion: Tumbled,
+    motion: HandTumble,
     effects: Mapping[str, Sequence[Effect]],
     *,
     rate_hz: float = 100.0,

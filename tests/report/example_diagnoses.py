@@ -142,7 +142,7 @@ PULLS = (
 )
 
 
-def made() -> Diagnosis:
+def partial_diagnosis() -> Diagnosis:
     """Partly explained: four causes, one of a wrong plan; 55 statistics that differ."""
     before, after = scores(3)
     return Diagnosis(
@@ -192,11 +192,11 @@ def made() -> Diagnosis:
     )  # fmt: skip
 
 
-def made_without_gap() -> Diagnosis:
+def diagnosis_without_gap() -> Diagnosis:
     """No gap."""
     empty = np.full((len(SENSORS), len(DOMAINS)), nan)
     return replace(
-        made(),
+        partial_diagnosis(),
         verdict="no gap",
         sentence="Nothing in these recordings tells them from the simulation.",
         p=0.41,
@@ -217,11 +217,11 @@ def made_without_gap() -> Diagnosis:
     )
 
 
-def made_unexplained() -> Diagnosis:
+def unexplained_diagnosis() -> Diagnosis:
     """A gap, and no effect of the library that closes it."""
     before, _ = scores(3)
     return replace(
-        made(),
+        partial_diagnosis(),
         verdict="unexplained",
         sentence="Gyro3 wanders in a way that no effect of the library makes.",
         gap=Gap(5.1, 4.9, 1.02, 0.05, (-0.06, 0.14), {"allan": (12.0, 11.8, 0.04)}),

@@ -34,7 +34,7 @@ def read(log: Log) -> dict[str, Block]:
     return result
 
 
-def pushed(stream: FusionStream, rows: dict[str, Block], seed: int, most_s: float) -> Iterator[FusedBlock]:
+def push_rows(stream: FusionStream, rows: dict[str, Block], seed: int, most_s: float) -> Iterator[FusedBlock]:
     """Pieces of random lengths; no sensor more than a piece ahead of the others."""
     rng = np.random.default_rng(seed)
     done, reached = dict.fromkeys(rows, 0), dict.fromkeys(rows, 0)

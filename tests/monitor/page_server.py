@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @contextmanager
-def served(path: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def serve_page(path: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """The address of a page of the log at `path`, from a separate process."""
     program = [sys.executable, "-m", "imuarray", "monitor", str(path), "--port", "0", "--every", "0.2", *options]
     process = subprocess.Popen(program, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

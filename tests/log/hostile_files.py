@@ -188,7 +188,7 @@ KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
 )
 
 
-def built(path: Path, kind: str) -> str:
+def damage_log(path: Path, kind: str) -> str:
     """Modify the good log at `path`; return the text of its refusal."""
     spoil, message = KINDS[kind]
     with h5py.File(path, "r+", libver="latest") as file:

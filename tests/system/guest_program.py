@@ -3,7 +3,7 @@
 Python takes long to start there, so that each command is a fork of this process, which has everything loaded. What a
 command prints is written to NAME.out and NAME.err in the folder of the configuration; `codes.json` has the exit codes.
 
-    on_a_real_bus.py FOLDER PORT
+    guest_program.py FOLDER PORT
 """
 
 from __future__ import annotations
