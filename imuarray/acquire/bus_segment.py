@@ -38,7 +38,7 @@ from functools import partial
 from typing import NamedTuple
 
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
+from imuarray.acquire.sample_buffer import RegisterCheck, SampleBuffer, SensorRoute
 from imuarray.array import IIO, ArrayConfig, SensorConfig
 from imuarray.bus.iio import IioBus, IioDevice
 from imuarray.bus.protocol import Bus, OpenBus
@@ -272,18 +272,6 @@ def frames_of(rate_hz: float) -> int:
     return max(1, math.floor(SWEEP_S * rate_hz))
 
 
-@dataclass
-class _Check:
-    """A register of a chip to read back; without a `setting`, the check asks which driver owns the chip's address."""
-
-    buffer: SampleBuffer
-    setting: Setting | None
-    good_rows: int = 0
-    """Number of waiting rows when this register was last read back as configured."""
-    wrong: int = 0
-    """Number of wrong reads in a row."""
-
-
 class ConfigurationReadback:
     """The checks of all routes, and the order in which they take turns."""
 
@@ -298,8 +286,10 @@ class ConfigurationReadback:
         configuration or its address. The registers of `witnesses` are read by `Channel`, which reports them to
         `note_right` and `note_wrong`.
         """
-        self._checks = [_Check(item, setting) for item in buffers for setting in (*item.driver.watched, None)]
-        self._of = {id(item): [check for check in self._checks if check.buffer is item] for item in buffers}
+        self._buffers = buffers
+        for item in buffers:
+            item.checks = [RegisterCheck(item, setting) for setting in (*item.driver.watched, None)]
+        self._checks = [check for item in buffers for check in item.checks]
         self._by_setting = {
             (id(check.buffer.route), check.setting): check for check in self._checks if check.setting is not None
         }
@@ -311,13 +301,13 @@ class ConfigurationReadback:
         reads = sum(check.setting is not None for check in self._in_turn)
         self.per_frame = math.ceil(reads / frames_of(rate_hz))
 
-    def due(self) -> list[_Check]:
+    def due(self) -> list[RegisterCheck]:
         """Return this frame's checks: those that were wrong last time first, then the next in turn."""
-        repeated: list[_Check] = []
+        repeated: list[RegisterCheck] = []
         if self._any_wrong:
             self._any_wrong = any(check.wrong for check in self._checks)
             repeated = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
-        regular: list[_Check] = []
+        regular: list[RegisterCheck] = []
         reads, index, count = 0, self._next, len(self._in_turn)
         for _ in range(count):
             check = self._in_turn[index]
@@ -332,9 +322,7 @@ class ConfigurationReadback:
 
     def note_right(self, witness: Witness) -> None:
         """Note that this register was read elsewhere and is right."""
-        check = self._by_setting[id(witness.route), witness.setting]
-        check.wrong = 0
-        check.good_rows = len(check.buffer.times_ns)
+        self._by_setting[id(witness.route), witness.setting].note_right()
 
     def note_wrong(self, witness: Witness) -> None:
         """Note that this register was read elsewhere and is not as configured."""
@@ -342,7 +330,7 @@ class ConfigurationReadback:
         check.wrong = max(check.wrong, 1)
         self._any_wrong = True
 
-    def run(self, check: _Check) -> None:
+    def run(self, check: RegisterCheck) -> None:
         """Read one register back; a failed transaction is no evidence about the register."""
         if check.setting is None:
             self._ask(check)
@@ -353,36 +341,26 @@ class ConfigurationReadback:
         except OSError:
             return
         if value & check.setting.mask == check.setting.value:
-            check.wrong = 0
-            check.good_rows = len(check.buffer.times_ns)
+            check.note_right()
         else:
-            self._wrong(check, "configuration", check.setting.mismatch(value))
+            self._note_wrong(check, "configuration", check.setting.mismatch(value))
 
-    def _ask(self, check: _Check) -> None:
+    def _ask(self, check: RegisterCheck) -> None:
         """Ask the kernel who owns the address. One answer is enough."""
         try:
             check.buffer.route.claim()
         except SensorError as error:
             check.wrong = 1
-            self._wrong(check, "taken", str(error))
+            self._note_wrong(check, "taken", str(error))
             return
         except OSError:
             return
-        check.wrong = 0
-        check.good_rows = len(check.buffer.times_ns)
+        check.note_right()
 
-    def _wrong(self, check: _Check, kind: str, message: str) -> None:
-        check.wrong += 1
+    def _note_wrong(self, check: RegisterCheck, kind: str, message: str) -> None:
         self._any_wrong = True
-        if check.wrong == 2:
-            check.buffer.distrust(check.good_rows)
+        if check.note_wrong():
             self._report(check.buffer, kind, message)
-
-    def note_configured(self, buffer: SampleBuffer) -> None:
-        """Note that all registers of a chip are right, because they were just read or configured."""
-        for check in self._of[id(buffer)]:
-            check.wrong = 0
-            check.good_rows = len(buffer.times_ns)
 
     def finish(self) -> None:
         """Check everything once more (wrong registers twice), and flag the rows that remain in doubt, so that no row
@@ -393,24 +371,13 @@ class ConfigurationReadback:
                 self.run(check)
                 if check.wrong == 1:
                     self.run(check)
-        for checks in self._of.values():
-            self.give_up(checks[0].buffer)
+        for buffer in self._buffers:
+            self.give_up(buffer)
 
     def give_up(self, buffer: SampleBuffer) -> None:
-        """Flag the waiting rows that no check has verified."""
-        trusted = self.trusted_rows(buffer)
-        if trusted < len(buffer.times_ns):
-            buffer.flag_suspect(trusted, len(buffer.times_ns))
-            self.note_configured(buffer)
-
-    def trusted_rows(self, buffer: SampleBuffer) -> int:
-        """Return how many waiting rows were followed by a successful check of every register."""
-        return min(check.good_rows for check in self._of[id(buffer)])
-
-    def note_written(self, buffer: SampleBuffer, count: int) -> None:
-        """Note that the oldest `count` rows were written."""
-        for check in self._of[id(buffer)]:
-            check.good_rows = max(check.good_rows - count, 0)
+        """Flag the waiting rows that no check has verified, and begin its checks again if there are any."""
+        if buffer.flag_unverified():
+            buffer.note_verified()
 
 
 HUNG = frozenset({errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY})

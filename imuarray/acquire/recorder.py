@@ -316,7 +316,6 @@ class Poll:
             count = len(buffer.times_ns) if last else self.health.trusted_rows(buffer, now_ns)
             if count > 0:
                 block = self.intake.write(buffer, count, now_ns)
-                self.readback.note_written(buffer, count)
                 if len(block.time):
                     self.health.note_written(buffer, block, self.epoch_ns)
         if self.truth_rows:

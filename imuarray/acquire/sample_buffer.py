@@ -32,6 +32,7 @@ from imuarray.drivers import Driver, FifoDriver, OnDemandDriver
 from imuarray.drivers.fifo_clock import TOLERANCE
 from imuarray.drivers.iio import IioSensor
 from imuarray.errors import SensorError
+from imuarray.facts.registers import Setting
 from imuarray.log.format import (
     LOST_BEFORE,
     OVERRUN,
@@ -160,6 +161,30 @@ read so rarely that a frozen reading is detected only later, its rows are writte
 """
 
 
+@dataclass(eq=False)
+class RegisterCheck:
+    """The read-back of one register of a chip, or, without a `setting`, of the owner of its address."""
+
+    buffer: SampleBuffer
+    setting: Setting | None
+    good_rows: int = 0
+    """Number of waiting rows when it was last as configured."""
+    wrong: int = 0
+    """Number of wrong results in a row."""
+
+    def note_right(self, rows: int | None = None) -> None:
+        """Note a right result after so many waiting rows (None: all)."""
+        self.wrong = 0
+        self.good_rows = len(self.buffer.times_ns) if rows is None else rows
+
+    def note_wrong(self) -> bool:
+        """Note a wrong result. The second in a row counts: return True, and flag the rows since the last right one."""
+        self.wrong += 1
+        if self.wrong == 2:
+            self.buffer.distrust(self.good_rows)
+        return self.wrong == 2
+
+
 class SampleBuffer:
     """Bursts of the sensor at `route`, read in `rate_hz` frames per second, until they are written.
 
@@ -172,6 +197,8 @@ class SampleBuffer:
         self.rate_hz = rate_hz
         self.times_ns: list[int] = []
         """Times of the waiting rows."""
+        self.checks: list[RegisterCheck] = []
+        """The checks of its registers, after which waiting rows are verified."""
         self._uncertainties_ns: list[float] = []  # uncertainties of the times, for rows that have one
         self._bursts = bytearray()
         self._flagged: dict[int, list[int]] = {LOST_BEFORE: [], OVERRUN: [], RECONFIGURED: [], _DOUBTFUL: []}
@@ -363,6 +390,25 @@ class SampleBuffer:
         """Flag rows from `first` up to `end`, not included, as suspect."""
         self._suspect.append((first, end))
 
+    @property
+    def verified_rows(self) -> int:
+        """Number of waiting rows that were followed by a right result of every check; all if there are no checks."""
+        return min((check.good_rows for check in self.checks), default=len(self.times_ns))
+
+    def flag_unverified(self) -> bool:
+        """Flag the waiting rows that no check has verified, so that they can be written. Returns whether there are any."""
+        verified, waiting = self.verified_rows, len(self.times_ns)
+        if verified < waiting:
+            self.flag_suspect(verified, waiting)
+            for check in self.checks:
+                check.good_rows = waiting
+        return verified < waiting
+
+    def note_verified(self) -> None:
+        """Note that every register is right, because all were just read or configured."""
+        for check in self.checks:
+            check.note_right()
+
     def trust(self) -> None:
         """Stop flagging rows from now on, unless the sensor is condemned."""
         if not self._condemned:
@@ -478,6 +524,8 @@ class SampleBuffer:
         del self.times_ns[:count], self._uncertainties_ns[:count], self._bursts[: count * self.driver.burst]
         for rows in self._flagged.values():
             rows[:] = [row - count for row in rows if row >= count]
+        for check in self.checks:
+            check.good_rows = max(check.good_rows - count, 0)
         self._since_set_up = max(self._since_set_up - count, 0)
         self._still_row = max(self._still_row - count, 0)
         self._suspect = [

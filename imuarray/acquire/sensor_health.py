@@ -108,9 +108,26 @@ class StartUpCheck:
                 self._attempts[id(item)] = self._attempts.get(id(item), 0) + 1
         return results
 
-    def has_given_up(self, buffer: SampleBuffer) -> bool:
-        """Return whether all attempts to configure the sensor are used up."""
-        return self._attempts.get(id(buffer), 0) >= ATTEMPTS
+    def judge(
+        self,
+        now_ns: int,
+        report: Callable[[SampleBuffer, str], None],
+        configure: Callable[[SampleBuffer], object],
+        *,
+        last: bool = False,
+    ) -> None:
+        """Report the verdicts that are due, flag the rows of sensors that started wrong, and `configure` these sensors
+        again, unless all attempts are used up or the log ends (`last`).
+        """
+        for buffer, verdict in self.verdicts(now_ns, last=last):
+            if verdict.text:
+                report(buffer, verdict.text)
+            if verdict.fault:
+                buffer.distrust(0)
+                if self._attempts[id(buffer)] >= ATTEMPTS:
+                    buffer.condemn()
+                elif not last:
+                    configure(buffer)
 
 
 _UNRELATED = LOST_BEFORE | RECONFIGURED | SUSPECT
@@ -267,7 +284,7 @@ class SensorHealth:
             state.report(now_ns, "reconfigured", f"set up again after {took_s:.2f} s")
             if self._start_up is not None:
                 self._start_up.judge_again(buffer, now_ns)
-        self._readback.note_configured(buffer)
+        buffer.note_verified()
 
     def note_lost_configuration(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
         """Handle a chip that has lost its configuration or its address; its rows are already flagged."""
@@ -282,8 +299,7 @@ class SensorHealth:
             state = self._states[id(buffer)]
             if buffer.recovery is None:
                 self._check_frozen(buffer, state, now_ns)
-        if self._start_up is not None:
-            self._judge(self._start_up, now_ns, last=False)
+        self._judge(now_ns)
 
     def _check_frozen(self, buffer: SampleBuffer, state: _SensorState, now_ns: int) -> None:
         if len(buffer.times_ns) != state.rows or state.last_row_ns is None:
@@ -311,17 +327,14 @@ class SensorHealth:
             return
         buffer.recover(now_ns, compare=False)
 
-    def _judge(self, start_up: StartUpCheck, now_ns: int, *, last: bool) -> None:
-        for buffer, verdict in start_up.verdicts(now_ns, last=last):
-            if verdict.text:
-                self._states[id(buffer)].report(now_ns, "start_up", verdict.text)
-            if not verdict.fault:
-                continue
-            buffer.distrust(0)
-            if start_up.has_given_up(buffer):
-                buffer.condemn()
-            elif not last:
-                buffer.recover(now_ns, compare=False)
+    def _judge(self, now_ns: int, *, last: bool = False) -> None:
+        if self._start_up is not None:
+            self._start_up.judge(
+                now_ns,
+                lambda buffer, text: self._states[id(buffer)].report(now_ns, "start_up", text),
+                lambda buffer: buffer.recover(now_ns, compare=False),
+                last=last,
+            )
 
     def finish(self, now_ns: int) -> None:
         """Judge the remaining rows at the end of the log."""
@@ -330,8 +343,7 @@ class SensorHealth:
             if buffer.recovery is None and (row := buffer.frozen_since()) is not None:
                 buffer.distrust(row)
                 self._states[id(buffer)].report(now_ns, "frozen", "the same reading until the end")
-        if self._start_up is not None:
-            self._judge(self._start_up, now_ns, last=True)
+        self._judge(now_ns, last=True)
 
     # Writing --------------------------------------------------------------------------------------------------------
 
@@ -346,9 +358,9 @@ class SensorHealth:
             self._readback.give_up(buffer)
             return rows
         held_rows = buffer.held_rows
-        if rows - self._readback.trusted_rows(buffer) > max(HELD_S * buffer.row_rate_hz, held_rows):
+        if rows - buffer.verified_rows > max(HELD_S * buffer.row_rate_hz, held_rows):
             self._readback.give_up(buffer)
-        return min(self._readback.trusted_rows(buffer), rows - held_rows)
+        return min(buffer.verified_rows, rows - held_rows)
 
     def note_written(self, buffer: SampleBuffer, block: Block, epoch_ns: int) -> None:
         """Report stale readings and overruns, which only the decoded status shows."""

@@ -12,16 +12,15 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from imuarray.acquire.bus_segment import MuxChannel
 from imuarray.acquire.clocks import Clocks, clock_reader
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions
-from imuarray.acquire.sample_buffer import HELD_S, Intake, SensorRoute
+from imuarray.acquire.sample_buffer import HELD_S, Intake, RegisterCheck, SampleBuffer, SensorRoute
 from imuarray.acquire.sensor_health import StartUpCheck
-from imuarray.acquire.stream_plan import LINK, ReadbackPlace, Rows, plan, readings_at
+from imuarray.acquire.stream_plan import LINK, ReadbackPlace, Rows, VisitPlace, plan, readings_at
 from imuarray.acquire.stream_queue import rows_of
 from imuarray.bus.protocol import OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
@@ -36,16 +35,6 @@ Note = Callable[[Rows, str, str], None]
 """Arguments: rows of the sensor, kind of event, message."""
 
 
-@dataclass
-class _StreamCheck:
-    """One register of one chip."""
-
-    watched: ReadbackPlace
-    good_rows: int = 0
-    """Number of waiting rows when this register was last read back as configured."""
-    wrong: int = 0
-
-
 class StreamHealth:
     """The health of all sensors. `failed` are those that must be configured again."""
 
@@ -56,31 +45,28 @@ class StreamHealth:
         self._rows = rows
         self._start_up = start_up
         self._note = note
-        self._checks = {
-            id(item): [_StreamCheck(place) for place in watched if place.route is item.buffer.route] for item in rows
-        }
+        self._places: list[tuple[Rows, RegisterCheck, VisitPlace]] = []
+        for item in rows:
+            places = [place for place in watched if place.route is item.buffer.route]
+            item.buffer.checks = [RegisterCheck(item.buffer, place.setting) for place in places]
+            self._places += [
+                (item, check, readback.place) for check, readback in zip(item.buffer.checks, places, strict=True)
+            ]
 
     def check_readback(self, samples_by_list: Mapping[int, Samples], rate: float) -> None:
         """Check the registers that were read back."""
-        for rows in self._rows:
-            for check in self._checks[id(rows)]:
-                place = check.watched.place
-                if place.number in samples_by_list:
-                    values = readings_at(place, samples_by_list[place.number], rate)
-                    for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
-                        self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
+        for rows, check, place in self._places:
+            if place.number in samples_by_list:
+                values = readings_at(place, samples_by_list[place.number], rate)
+                for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
+                    self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
-    def _judge(self, rows: Rows, check: _StreamCheck, value: int, rows_before: int) -> None:
-        """Judge one value of one register, read after `rows_before` waiting rows; two wrong values in a row count."""
-        setting = check.watched.setting
-        if value & setting.mask == setting.value:
-            check.wrong, check.good_rows = 0, rows_before
-            return
-        check.wrong += 1
-        if check.wrong != 2:
-            return
-        rows.buffer.distrust(check.good_rows)
-        if id(rows) not in self.failed:
+    def _judge(self, rows: Rows, check: RegisterCheck, value: int, rows_before: int) -> None:
+        """Judge one value of one register, read after `rows_before` waiting rows."""
+        setting = check.setting
+        if setting is None or value & setting.mask == setting.value:
+            check.note_right(rows_before)
+        elif check.note_wrong() and id(rows) not in self.failed:
             self.failed[id(rows)] = rows
             self._note(rows, "configuration", setting.mismatch(value))
 
@@ -94,7 +80,7 @@ class StreamHealth:
         """Have the chip configured again, because its queue does not fill."""
         if id(rows) not in self.failed:
             self.failed[id(rows)] = rows
-            rows.buffer.distrust(self._verified_rows(rows))
+            rows.buffer.distrust(rows.buffer.verified_rows)
             self._note(rows, "frozen", f"nothing in its queue for {rows.idle_ns * 1e-9:.1f} s")
 
     def tick(self, now_ns: int) -> None:
@@ -107,21 +93,19 @@ class StreamHealth:
                 rows.buffer.distrust(row)
                 self.failed[id(rows)] = rows
                 self._note(rows, "frozen", f"the same reading for {lasted_s:.2f} s")
-        if self._start_up is not None:
-            self._judge_start(self._start_up, now_ns, last=False)
+        self._judge_start(now_ns)
 
-    def _judge_start(self, start_up: StartUpCheck, now_ns: int, *, last: bool) -> None:
-        rows_by_buffer = {id(rows.buffer): rows for rows in self._rows}
-        for buffer, verdict in start_up.verdicts(now_ns, last=last):
-            rows = rows_by_buffer[id(buffer)]
-            if verdict.text:
-                self._note(rows, "start_up", verdict.text)
-            if verdict.fault:
-                buffer.distrust(0)
-                if start_up.has_given_up(buffer):
-                    buffer.condemn()
-                else:
-                    self.failed[id(rows)] = rows
+    def _judge_start(self, now_ns: int, *, last: bool = False) -> None:
+        rows_of = {id(rows.buffer): rows for rows in self._rows}
+
+        def configure(buffer: SampleBuffer) -> None:
+            rows = rows_of[id(buffer)]
+            self.failed[id(rows)] = rows
+
+        if self._start_up is not None:
+            self._start_up.judge(
+                now_ns, lambda buffer, text: self._note(rows_of[id(buffer)], "start_up", text), configure, last=last
+            )
 
     def configure_failed(self, now_ns: int) -> None:
         """Configure the failed sensors while the stream is stopped; one that can't be configured remains failed."""
@@ -135,8 +119,7 @@ class StreamHealth:
             del self.failed[key]
             rows.buffer.trust()
             rows.buffer.note_configured()
-            for check in self._checks[id(rows)]:
-                check.wrong, check.good_rows = 0, len(rows.buffer.times_ns)
+            rows.buffer.note_verified()
             self._note(rows, "reconfigured", "set up again")
             if self._start_up is not None:
                 self._start_up.judge_again(rows.buffer, now_ns)
@@ -146,7 +129,7 @@ class StreamHealth:
         their supply.
         """
         for rows in self._rows:
-            rows.buffer.distrust(self._verified_rows(rows))
+            rows.buffer.distrust(rows.buffer.verified_rows)
             self.failed[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
@@ -159,39 +142,28 @@ class StreamHealth:
         waiting, held_rows = len(buffer.times_ns), buffer.held_rows
         if id(rows) in self.failed:  # flagged already
             return waiting
-        vouched = self._verified_rows(rows)
-        if waiting - vouched > max(HELD_S * buffer.row_rate_hz, held_rows):
-            buffer.flag_suspect(vouched, waiting)
-            for check in self._checks[id(rows)]:
-                check.good_rows = waiting
-        return max(0, min(self._verified_rows(rows), waiting - held_rows))
-
-    def _verified_rows(self, rows: Rows) -> int:
-        """Return the number of rows that were followed by a successful check of every register."""
-        return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.buffer.times_ns))
-
-    def note_written(self, rows: Rows, count: int) -> None:
-        """Note that the oldest `count` rows were written."""
-        for check in self._checks[id(rows)]:
-            check.good_rows = max(check.good_rows - count, 0)
+        if waiting - buffer.verified_rows > max(HELD_S * buffer.row_rate_hz, held_rows):
+            buffer.flag_unverified()
+        return max(0, min(buffer.verified_rows, waiting - held_rows))
 
     def finish(self, now_ns: int) -> None:
         """Read every register back twice after the stream was stopped, at the end of the log, and flag the rows that
         remain unverified.
         """
-        if self._start_up is not None:
-            self._judge_start(self._start_up, now_ns, last=True)
+        self._judge_start(now_ns, last=True)
         for rows in self._rows:
             waiting = len(rows.buffer.times_ns)
-            for check in self._checks[id(rows)]:
-                setting, registers = check.watched.setting, rows.buffer.driver.registers
+            for check in rows.buffer.checks:
+                setting, registers = check.setting, rows.buffer.driver.registers
+                if setting is None:
+                    continue
                 try:
                     values = [registers.read_back(setting.register) for _ in range(2)]
                 except OSError:
                     continue
                 if any(value & setting.mask == setting.value for value in values):
                     check.good_rows = waiting
-            first = self._verified_rows(rows)
+            first = rows.buffer.verified_rows
             frozen = rows.buffer.frozen_since()
             if frozen is not None:
                 self._note(rows, "frozen", "the same reading until the end")
@@ -445,7 +417,6 @@ class Streaming:
             count = len(rows.buffer.times_ns) if last else self._health.trusted_rows(rows)
             if count:
                 self._intake.write(rows.buffer, count, self._written_ns)
-                self._health.note_written(rows, count)
         self._faults.settle(self._written_ns)
         self._options.progress(self.summary.frames)
 
