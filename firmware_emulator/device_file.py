@@ -221,7 +221,7 @@ class OpenFile:
         if call.size not in range(QUICK, I2C_BLOCK + 1) or call.read_write not in (0, 1):
             refuse(errno.EINVAL)
         if call.size in (QUICK, BYTE) and not (call.size == BYTE and call.read_write):
-            self.adapter.transfer([self._without_data(call)])
+            self.adapter.transfer([self._strip_data(call)])
             return 0
         if not call.data:
             refuse(errno.EINVAL)
@@ -232,7 +232,7 @@ class OpenFile:
             put(call.data, smbus_data(call.size, received[0]))
         return 0
 
-    def _without_data(self, call: SmbusStruct) -> Message:
+    def _strip_data(self, call: SmbusStruct) -> Message:
         if call.size == BYTE:
             return self._write(bytes([call.command]))
         return self._read(0) if call.read_write else self._write(b"")

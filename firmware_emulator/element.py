@@ -133,7 +133,7 @@ class SensingElement:
             self._set(full_scale, bandwidth_hz)
         stimulus = self._constant or self._world(at_ns)
         if stimulus is not self._stimulus:  # the stimulus of a box at rest is the same object for a long time
-            self._stimulus, self._ideal = stimulus, self._without_noise(stimulus)
+            self._stimulus, self._ideal = stimulus, self._ideal_output(stimulus)
         used = self._used
         if used >= len(self._noise):
             self._noise, used = self._random.standard_normal(BLOCK).tolist(), 0
@@ -161,7 +161,7 @@ class SensingElement:
         self._setting = full_scale, bandwidth_hz
         self._stimulus = None
 
-    def _without_noise(self, stimulus: WorldStimulus) -> Triple:
+    def _ideal_output(self, stimulus: WorldStimulus) -> Triple:
         unit, bias = self.unit, self._bias
         warmer = stimulus.temperature_degc - ROOM_DEGC
         scale = 1.0 + unit.scale_slope_per_degc * warmer

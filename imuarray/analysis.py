@@ -45,7 +45,7 @@ def calibrate_tumble(*logs: LogLike) -> TumbleResult:
     """
     from imuarray.calibrate import calibrate_tumble as calibrate
 
-    with _opened("calibrate_tumble(*logs)", logs) as opened:
+    with _open_logs("calibrate_tumble(*logs)", logs) as opened:
         return calibrate(*opened)
 
 
@@ -60,7 +60,7 @@ def calibrate_noise(*logs: LogLike, known: str | PathLike[str] | Calibration | N
     """
     from imuarray.calibrate import calibrate_noise as calibrate
 
-    with _opened("calibrate_noise(*logs)", logs) as opened:
+    with _open_logs("calibrate_noise(*logs)", logs) as opened:
         return calibrate(*opened, known=None if known is None else _calibration(known)).stamped(opened)
 
 
@@ -74,7 +74,7 @@ def calibrate_thermal(*logs: LogLike) -> ThermalResult:
     """
     from imuarray.calibrate import calibrate_thermal as calibrate
 
-    with _opened("calibrate_thermal(*logs)", logs) as opened:
+    with _open_logs("calibrate_thermal(*logs)", logs) as opened:
         return calibrate(*opened)
 
 
@@ -90,7 +90,7 @@ def calibrate_turn_on(*logs: LogLike, seed: int = 1) -> TurnOnSeries:
     from imuarray.calibrate import calibrate_turn_on as calibrate
     from imuarray.chips import SENSITIVITIES
 
-    with _opened("calibrate_turn_on(*logs)", logs) as opened:
+    with _open_logs("calibrate_turn_on(*logs)", logs) as opened:
         return calibrate(opened, SENSITIVITIES, seed)
 
 
@@ -115,7 +115,7 @@ def characterise(
     from imuarray.characterise import characterise_log
     from imuarray.characterise.characterisation import Characterisation
 
-    with _opened("characterise(log)", [log]) as (opened,):
+    with _open_logs("characterise(log)", [log]) as (opened,):
         scales = {} if calibration is None else _calibration(calibration).scales(opened.sensors.values())
         return Characterisation(
             characterise_log(
@@ -167,7 +167,7 @@ def fuse(  # noqa: PLR0913
     calibration_used = Calibration() if calibration is None else _calibration(calibration)
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
-    with _opened("fuse(log)", [log]) as (opened,):
+    with _open_logs("fuse(log)", [log]) as (opened,):
         sensor_names = [opened[sensor].name for sensor in as_names(only)]
         if name or calibration_used.sensors:
             require_known_sensors(opened, calibration_used, sensor_names, name or "the calibration")
@@ -255,7 +255,7 @@ def simulate(  # noqa: PLR0913
     only, without = as_names(only), as_names(without)
     with ExitStack() as stack:
         with _mistakes_as_config_errors():
-            recorded = _recorded(source, stack)
+            recorded = _open_recording(source, stack)
             if recorded is not None:
                 run = _run_like(recorded, Path(output), only, boot, conditions)
             else:
@@ -283,7 +283,7 @@ def _mistakes_as_config_errors() -> Iterator[None]:
         raise ConfigError(str(error)) from None
 
 
-def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack) -> Log | None:
+def _open_recording(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack) -> Log | None:
     """Return the recorded log that a simulation imitates; None for an array."""
     if isinstance(source, Log):
         return source
@@ -357,7 +357,7 @@ def _calibration(calibration: object) -> Calibration:
 
 
 @contextmanager
-def _opened(call: str, logs: Sequence[LogLike]) -> Iterator[list[Log]]:
+def _open_logs(call: str, logs: Sequence[LogLike]) -> Iterator[list[Log]]:
     """Open the logs that are given as paths, and close these at the end. LogError, also without logs or for other
     objects; the message names the `call`.
     """

@@ -250,10 +250,10 @@ def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
         f"{f'{mistake.subject}: ' if mistake.subject else ''}{mistake.complaint}"
         for mistake in mistakes
     ]
-    return ConfigError(_joined(listed))
+    return ConfigError(_join(listed))
 
 
-def _joined(listed: Sequence[str]) -> str:
+def _join(listed: Sequence[str]) -> str:
     """Return the first complaints on one line, and the number of further ones."""
     more = [f"and {len(listed) - _TOLD} more"] if len(listed) > _TOLD else []
     complaints: list[str] = []
@@ -295,7 +295,7 @@ def parse_toml(text: str, model: type[File], where: str) -> File:
         line = _TOML_LINE.search(str(error))
         raise ConfigError(f"{where}{f':{line.group(1)}' if line else ''}: not TOML: {error}") from None
     try:
-        return _checked(table, model, text, where)
+        return _check(table, model, text, where)
     except RecursionError:
         raise ConfigError(f"{where}: tables nested without end") from None
 
@@ -303,7 +303,7 @@ def parse_toml(text: str, model: type[File], where: str) -> File:
 _TOML_LINE = re.compile(r"\(at line (\d+), column \d+\)$")
 
 
-def _checked(table: Mapping[str, Any], model: type[File], text: str, where: str) -> File:
+def _check(table: Mapping[str, Any], model: type[File], text: str, where: str) -> File:
     from pydantic import ValidationError  # slow to import
 
     try:
@@ -315,7 +315,7 @@ def _checked(table: Mapping[str, Any], model: type[File], text: str, where: str)
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Return the mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
     listed = _mistakes(error, table, model)
-    return _joined([f"{item.subject}: {item.complaint}" if item.subject else item.complaint for item in listed])
+    return _join([f"{item.subject}: {item.complaint}" if item.subject else item.complaint for item in listed])
 
 
 def _mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Mistake]:

@@ -179,12 +179,12 @@ class Converter:
 
     def _convert(self, cycle: int) -> Codes:
         at_ns = self._start_ns + cycle * self._period_ns + self._ready_after_ns[0]
-        g = self._sampled(at_ns)
+        g = self._sample(at_ns)
         if self._quarter_ns > IN_TURN_NS:
-            y_g, z_g = (self._sampled(at_ns + axis * self._quarter_ns)[axis] for axis in (1, 2))
+            y_g, z_g = (self._sample(at_ns + axis * self._quarter_ns)[axis] for axis in (1, 2))
             g = g[0], y_g, z_g
         if not self._plain:
-            g = self._disturbed(g, at_ns)
+            g = self._disturb(g, at_ns)
         sx, ox, sy, oy, sz, oz = self._scales
         x, y, z = round(g[0] * sx + ox), round(g[1] * sy + oy), round(g[2] * sz + oz)
         if cycle < self._settling:
@@ -199,10 +199,10 @@ class Converter:
         self._latest_index, self._latest = cycle, codes
         return codes
 
-    def _sampled(self, at_ns: int) -> Triple:
+    def _sample(self, at_ns: int) -> Triple:
         return self._element.sample(at_ns, self._range_g, self._bandwidth_hz)
 
-    def _disturbed(self, g: Triple, at_ns: int) -> Triple:
+    def _disturb(self, g: Triple, at_ns: int) -> Triple:
         """Return `g` after a self-test, wrong temperature trims and a high-pass."""
         x, y, z = g
         if self._settings.self_test:

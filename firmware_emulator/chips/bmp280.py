@@ -115,11 +115,11 @@ class Bmp280Chip(CyclicBarometer):
         ut = self.ut(at_ns)
         pascal = self.pressure_pa(at_ns, NOISE_PA[codes[1]])
         values = self.filtered(ut, up_of(self.words, ut, pascal))
-        ut_shown, up_shown = (self._rounded(value, code) for value, code in zip(values, codes, strict=True))
+        ut_shown, up_shown = (self._round(value, code) for value, code in zip(values, codes, strict=True))
         data = (up_shown << 4).to_bytes(3, "big") + (ut_shown << 4).to_bytes(3, "big")
         self.page[_DATA : _DATA + len(data)] = data
 
-    def _rounded(self, value: float, code: int) -> int:
+    def _round(self, value: float, code: int) -> int:
         """Return a word rounded to its resolution: 16 bits and one more for each doubling of samples; with the filter
         always 20 bits (BMP-106, BMP-110).
         """

@@ -89,7 +89,7 @@ class Hmc5883Chip(Chip):
     def power_on(self, at_ns: int) -> None:
         """Start up: the reset value of the mode requests one measurement when the part is ready (HMC-12, HMC-51)."""
         super().power_on(at_ns)
-        self._gain = self._selected_gain()
+        self._gain = self._gain_now()
         self._read = 0
         self._locked = self._ready = False
         self._begin(at_ns)
@@ -142,7 +142,7 @@ class Hmc5883Chip(Chip):
     def _operation(self) -> int:
         return facts.OPERATION.of(self.page[facts.MODE.address])
 
-    def _selected_gain(self) -> int:
+    def _gain_now(self) -> int:
         return facts.GAIN.of(self.page[facts.CONFIG_B.address])
 
     def _begin(self, at_ns: int) -> None:
@@ -168,10 +168,10 @@ class Hmc5883Chip(Chip):
             self._due_ns = due_ns + finished * self._period_ns
             due_ns = self._due_ns - self._period_ns
             if finished > 1:
-                self._gain = self._selected_gain()
+                self._gain = self._gain_now()
         if not (self._locked or self._read):
             self._put(self._field(due_ns))
-        self._gain = self._selected_gain()  # a new gain takes effect with the measurement after the next (HMC-36)
+        self._gain = self._gain_now()  # a new gain takes effect with the measurement after the next (HMC-36)
 
     def _put(self, field: Triple) -> None:
         gain = self.variant.gains[self._gain]

@@ -114,10 +114,10 @@ class Signal:
         x, y, z = round(dps[0] * scale + offset), round(dps[1] * scale + offset), round(dps[2] * scale + offset)
         if -32768 <= x <= 32767 and -32768 <= y <= 32767 and -32768 <= z <= 32767:
             return x, y, z
-        return _saturated(x), _saturated(y), _saturated(z)
+        return _saturate(x), _saturate(y), _saturate(z)
 
 
-def _saturated(code: int) -> int:
+def _saturate(code: int) -> int:
     return max(-32768, min(32767, code))
 
 

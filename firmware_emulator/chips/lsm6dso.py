@@ -196,9 +196,9 @@ class Lsm6dsoChip(SixAxis):
             sample = self.sample(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
             push = {0b01: PUSH_DPS, 0b11: -PUSH_DPS}.get(facts.GYRO_SELF_TEST.of(test), 0.0)
         codes = self._codes(sample, push, step)
-        self._put(half.first.address, self._marked(codes, half, at_ns) if name == GYROSCOPE else codes)
+        self._put(half.first.address, self._mark_codes(codes, half, at_ns) if name == GYROSCOPE else codes)
 
-    def _marked(self, codes: list[int], half: _Half, at_ns: int) -> list[int]:
+    def _mark_codes(self, codes: list[int], half: _Half, at_ns: int) -> list[int]:
         """Return the gyroscope's codes; the lowest bit of the selected axes marks the first sample after a pulse
         (LSM-49). A pulse is high; if the active level is low, the input is always active (DEC-75).
         """

@@ -338,11 +338,11 @@ class RangeSwitch(SensorMechanism):
         first = 2 + int(site.unit_random("range switch").integers(self.every))
         if site.run < first or (site.run - first) % self.every:
             return
-        site.note(f"in a range of {_in_force(site.chip, site.full_scale):g}")
-        site.chain.full_scale.append(lambda full_scale: _in_force(site.chip, full_scale))
+        site.note(f"in a range of {_active_offset(site.chip, site.full_scale):g}")
+        site.chain.full_scale.append(lambda full_scale: _active_offset(site.chip, full_scale))
 
 
-def _in_force(chip: str, asked: float) -> float:
+def _active_offset(chip: str, asked: float) -> float:
     ranges = RANGES[chip]
     place = min(range(len(ranges)), key=lambda at: abs(ranges[at] - asked))
     return ranges[place - 1 if place else 1]

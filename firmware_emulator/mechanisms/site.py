@@ -94,7 +94,7 @@ class MountedElement(SensingElement):
         for stage in self._chain.stimulus:
             stimulus = stage(at_ns, stimulus)
         if stimulus is not self._stimulus:
-            self._stimulus, self._ideal = stimulus, self._without_noise(stimulus)
+            self._stimulus, self._ideal = stimulus, self._ideal_output(stimulus)
         value = self._ideal
         for sensed in self._chain.sensed:
             value = sensed(at_ns, value, stimulus)
@@ -186,12 +186,12 @@ class ChipLine(TargetProxy):
         at_ns -= self._powered_on_ns
         offset = self._layout.first - self._pointer
         if self._links.latches and offset >= 0 and count >= offset + WORDS.size:
-            answer = self._latched(answer, offset, at_ns)
+            answer = self._latch(answer, offset, at_ns)
         for cable in self._links.cables:
             answer = cable(at_ns, answer)
         return answer
 
-    def _latched(self, answer: bytes, offset: int, at_ns: int) -> bytes:
+    def _latch(self, answer: bytes, offset: int, at_ns: int) -> bytes:
         _, shift, bits = self._layout
         words = WORDS.unpack_from(answer, offset)
         low = (1 << shift) - 1

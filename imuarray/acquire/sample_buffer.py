@@ -396,7 +396,7 @@ class SampleBuffer:
         return min((check.good_rows for check in self.checks), default=len(self.times_ns))
 
     def flag_unverified(self) -> bool:
-        """Flag the waiting rows that no check has verified, so that they can be written. Returns whether there are any."""
+        """Flag the waiting rows that no check has verified, so that they can be written. False if there are none."""
         verified, waiting = self.verified_rows, len(self.times_ns)
         if verified < waiting:
             self.flag_suspect(verified, waiting)

@@ -250,7 +250,7 @@ class SensorHealth:
         if recovery.refusal and not state.has_fault("taken"):  # not yet reported by the read-back of the configuration
             state.begin_fault(now_ns, "taken", recovery.refusal)
         if recovery.is_done:
-            self._recovered(buffer, recovery, state, now_ns)
+            self._end_recovery(buffer, recovery, state, now_ns)
         return recovery.failure if isinstance(recovery.failure, OSError) else None
 
     def note_arrival(self, buffer: SampleBuffer, at_ns: int) -> None:
@@ -267,7 +267,7 @@ class SensorHealth:
             buffer.mark_lost()
         return count
 
-    def _recovered(self, buffer: SampleBuffer, recovery: SensorRecovery, state: _SensorState, now_ns: int) -> None:
+    def _end_recovery(self, buffer: SampleBuffer, recovery: SensorRecovery, state: _SensorState, now_ns: int) -> None:
         took_s = (now_ns - recovery.since_ns) * 1e-9
         buffer.end_recovery()
         state.last_row_ns = now_ns

@@ -103,7 +103,7 @@ class _Lists:
     def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> VisitPlace:
         """Add a visit at the end of its list, after a switch to its channel if another one is selected there."""
         requests = [_wire_request(route, request) for request in visit.requests]
-        key = self._with_room(every, offset, requests)
+        key = self._key_with_room(every, offset, requests)
         number = self._numbers.setdefault(key, len(self._numbers))
         ages = [self._select(key, route)] if isinstance(route.driver.registers.bus, MuxChannel) else []
         request_ages = [self._add_request(key, request) for request in requests]
@@ -123,7 +123,7 @@ class _Lists:
             visit.busy,
         )
 
-    def _with_room(self, every: int, offset: int, requests: Sequence[Request]) -> _Key:
+    def _key_with_room(self, every: int, offset: int, requests: Sequence[Request]) -> _Key:
         """Return the list of these frames, or a new one if a frame of the link could not carry its answer."""
         key = every, offset, self._parts.setdefault((every, offset), 0)
         size = _MUX_BYTES + sum(2 + request.read for request in requests)

@@ -81,7 +81,7 @@ def _replay(rest: str, array: ArrayConfig) -> OpenBus:
     return ReplayBus(rest)
 
 
-def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
+def _open_emulated(rest: str, array: ArrayConfig) -> OpenBus:
     """Open ``emulated:?name=value&...``; ``board=other.toml`` builds the emulated board from another file than the one
     in use.
 
@@ -101,7 +101,7 @@ _SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {
     "iio": _iio,
     "serial": _serial,
     "replay": _replay,
-    "emulated": _emulated,
+    "emulated": _open_emulated,
 }
 
 _EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "spi:", "iio:", "emulated:")

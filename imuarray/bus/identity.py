@@ -60,7 +60,7 @@ class Entry:
 
 def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:
     """Return every I2C adapter of this machine by the name of its device file ("i2c-1"); empty without sysfs."""
-    names = sorted((path.name for path in _listed(devices) if _ADAPTER.fullmatch(path.name)), key=_number)
+    names = sorted((path.name for path in _list_folder(devices) if _ADAPTER.fullmatch(path.name)), key=_number)
     entries = {}
     for name in names:
         entry = adapter_entry(devices, name)
@@ -79,7 +79,7 @@ def adapter_entry(devices: Path, name: str) -> Entry | None:
 def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
     """Return every serial port with a device, by the name of its device file ("ttyACM0")."""
     entries = {}
-    for path in sorted(_listed(devices)):
+    for path in sorted(_list_folder(devices)):
         mark = mark_of(devices, path.name)
         try:
             real = (path / "device").resolve(strict=True)
@@ -120,7 +120,7 @@ def is_alone(wanted: BusIdentity, listed: Mapping[str, Entry]) -> bool:
     return not any(entry.identity != wanted and entry.identity.elsewhere(wanted) for entry in listed.values())
 
 
-def _listed(devices: Path) -> list[Path]:
+def _list_folder(devices: Path) -> list[Path]:
     try:
         return list(devices.iterdir())
     except OSError:
@@ -156,7 +156,9 @@ def _channel_identity(devices: Path, real: Path, mux: Path) -> BusIdentity | Non
     before = _adapter_identity(devices, f"i2c-{number}")
     if before is None:
         return None
-    channels = [link.name for link in _listed(device) if link.name.startswith("channel-") and link.resolve() == real]
+    channels = [
+        link.name for link in _list_folder(device) if link.name.startswith("channel-") and link.resolve() == real
+    ]
     part = f"multiplexer {address} {channels[0] if channels else real.name}"
     return replace(before, part=f"{before.part}, {part}" if before.part else part)
 
@@ -179,7 +181,7 @@ def _usb_identity(usb: Path, real: Path, title: str) -> BusIdentity:
     parts = [f"interface {interface}"] if interface else []
     if title:
         parts.insert(0, title)
-        siblings = [path.name for path in _listed(real.parent) if _ADAPTER.fullmatch(path.name)]
+        siblings = [path.name for path in _list_folder(real.parent) if _ADAPTER.fullmatch(path.name)]
         order = sorted(siblings, key=_number).index(real.name) if real.name in siblings else 0
         parts += [f"adapter {order}"] if order else []
     return BusIdentity(device, ", ".join(parts), usb.name)

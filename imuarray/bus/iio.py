@@ -236,7 +236,7 @@ class IioDevice:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise _at(error, path) from error
+            raise _name_file(error, path) from error
 
     def write(self, attribute: str, text: str) -> None:
         """Write an attribute; OSError."""
@@ -248,7 +248,7 @@ class IioDevice:
             finally:
                 os.close(fd)
         except OSError as error:
-            raise _at(error, path) from error
+            raise _name_file(error, path) from error
 
     def keep(self, attribute: str, text: str) -> None:
         """Write an attribute unless it has this value already, and read it back; SensorError if it does not keep it."""
@@ -298,7 +298,7 @@ class IioDevice:
             try:
                 self._file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             except OSError as error:
-                raise _at(error, path) from error
+                raise _name_file(error, path) from error
         self.stop()
 
     def start(self, wanted: set[str], length: int, watermark: int) -> ScanLayout:
@@ -410,7 +410,7 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _at(error: OSError, path: Path) -> OSError:
+def _name_file(error: OSError, path: Path) -> OSError:
     """Return the same error with the name of its file."""
     return OSError(error.errno, error.strerror or str(error), str(path))
 

@@ -134,7 +134,7 @@ class LinuxBus:
         for bus in self._together:
             bus._close_if_removed()
         if self._file < 0:
-            raise self._removed()
+            raise self._removal_error()
 
     def _close_if_removed(self) -> None:
         entry = self._entry
@@ -146,7 +146,7 @@ class LinuxBus:
         self._known = {other.name: other.mark for other in listed.values()}
         self._alone = self._alone and is_alone(entry.identity, listed)
 
-    def _removed(self) -> OSError:
+    def _removal_error(self) -> OSError:
         what = f" ({self._entry.identity.text})" if self._entry else ""
         return OSError(errno.ENODEV, f"the adapter {self.path}{what} was removed")
 
@@ -154,17 +154,17 @@ class LinuxBus:
         """Open the adapter if it has reappeared, at most every `SEARCH_NS`; OSError with ENODEV otherwise."""
         now_ns = self.clock.now_ns()
         if self._entry is None or now_ns < self._search_ns:
-            raise self._removed()
+            raise self._removal_error()
         self._search_ns = now_ns + SEARCH_NS
         for bus in self._together:
             bus._close_if_removed()
         name = search(self._entry.identity, adapters(self._devices), self._known, alone=self._alone)
         if name is None:
-            raise self._removed()
+            raise self._removal_error()
         try:
             self._open(str(self._device_files / name))
         except (OSError, BusUrlError) as error:  # udev has not set its permissions yet, or another program was faster
-            raise self._removed() from error
+            raise self._removal_error() from error
 
     def claim(self, address: int, path: str | None = None) -> None:
         """Raise SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`). Two

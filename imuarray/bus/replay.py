@@ -83,7 +83,7 @@ class ReplayBus:
             try:
                 line = json.loads(text)
                 if "epoch" not in line:
-                    return _parsed(line)
+                    return _parse_line(line)
                 self.epoch = datetime.fromisoformat(line["epoch"])
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
                 return {}
@@ -126,7 +126,7 @@ class ReplayBus:
         return answer
 
     def _claim(self, address: int, path: str | None = None) -> None:
-        recorded = self._line(_claimed(path or "", address))
+        recorded = self._line(_read_claim(path or "", address))
         if "error" in recorded:
             raise SensorError(recorded["error"])
         if recorded["errno"]:
@@ -138,12 +138,12 @@ class ReplayBus:
         """
         if self._failure is None:
             try:
-                return self._checked(asked)
+                return self._check_line(asked)
             except (SensorError, BusUrlError) as error:
                 self._failure = error
         raise self._failure
 
-    def _checked(self, asked: str) -> dict[str, Any]:
+    def _check_line(self, asked: str) -> dict[str, Any]:
         recorded = self._next
         if recorded is None or (recorded and "words" not in recorded):
             raise SensorError(
@@ -202,7 +202,7 @@ class _ReplayedPort:
         return self._replay._play(self._path, 0, sent, len(sent))
 
 
-def _parsed(line: dict[str, Any]) -> dict[str, Any]:
+def _parse_line(line: dict[str, Any]) -> dict[str, Any]:
     """Return a line with its numbers; ValueError, KeyError, TypeError, AttributeError or OverflowError if invalid."""
     at_ns = _time(line.get("at_ns", 0))
     call = {
@@ -220,7 +220,7 @@ def _parsed(line: dict[str, Any]) -> dict[str, Any]:
         raise ValueError(line)
     call["errno"] = number
     if "claim" in line:
-        words = _claimed(path, int(line["claim"], 16))
+        words = _read_claim(path, int(line["claim"], 16))
         return call | {"claim": True, "words": words}
     answer = bytes.fromhex(line.get("read", ""))
     count = int(line.get("count", len(answer)))
@@ -240,6 +240,6 @@ def _words(path: str, address: int, write: bytes, read: int) -> str:
     return f"{where}{address:#04x} write {write.hex() or 'nothing'} read {read}"
 
 
-def _claimed(path: str, address: int) -> str:
+def _read_claim(path: str, address: int) -> str:
     where = f"{path} " if path else ""
     return f"{where}{address:#04x}: owner query"

@@ -195,7 +195,7 @@ class SerialBus:
             while not self._behind and self._session.read() == 0 and self.clock.now_ns() < until_ns:
                 pass
         data = self._session.collect()
-        return self._by_list(data) if data.frames else {}
+        return self._group_by_list(data) if data.frames else {}
 
     def reconnect(self, patience_s: float = PATIENCE_S) -> None:
         """Open the port again and start a new session, after it was unplugged or its microcontroller was reset: the
@@ -210,7 +210,7 @@ class SerialBus:
     def _do(self, kind: int, payload: bytes, what: str) -> None:
         link.outcome_of(self._session.ask(kind, payload).payload, 0, what)
 
-    def _by_list(self, data: Data) -> dict[int, Samples]:
+    def _group_by_list(self, data: Data) -> dict[int, Samples]:
         """Return frames as matrices, one for each list."""
         sent_ns = self.fit.host_ns(data.sent_us * 1000)
         rows: dict[int, list[int]] = defaultdict(list)

@@ -120,9 +120,9 @@ class ClockFit:
             self._fit()
         if len(sent_ns):
             self._given_ns = int(sent_ns[-1])
-        return self._mapped(sent_ns)
+        return self._map_times(sent_ns)
 
-    def _mapped(self, sent_ns: Times) -> Times:
+    def _map_times(self, sent_ns: Times) -> Times:
         at_ns, here_ns = self._line
         slewed_from_ns, slew_ns = self._slew
         ahead = (sent_ns - at_ns).astype(np.float64)
@@ -133,7 +133,7 @@ class ClockFit:
     def _fit(self) -> None:
         """Fit the line below all points; converted times approach it from the end of the previous line."""
         given = None if self._given_ns is None else np.array([self._given_ns])
-        before = None if given is None else int(self._mapped(given)[0])
+        before = None if given is None else int(self._map_times(given)[0])
         at_ns, base_ns = self._sent_ns[0], self._arrived_ns[0]
         sent = np.array(self._sent_ns, np.int64) - at_ns
         arrived = np.array(self._arrived_ns, np.int64) - base_ns
@@ -142,7 +142,7 @@ class ClockFit:
         self._line, self._fitted_ns = (at_ns, base_ns + least), self._sent_ns[-1]
         self._slew = (0, 0.0)
         if given is not None and before is not None:
-            self._slew = (int(given[0]), float(before - int(self._mapped(given)[0])))
+            self._slew = (int(given[0]), float(before - int(self._map_times(given)[0])))
 
 
 def line_under(sent: Floats, arrived: Floats) -> tuple[float, float]:

@@ -125,7 +125,7 @@ def compare_calibrations(calibrations: Mapping[str, Calibration]) -> Calibration
         names,
         tuple(replace(change, p_value=float(p)) for change, p in zip(changes, limits, strict=True)),
         tuple(_common(shared, biases)),
-        tuple(_opposed(shared, biases)),
+        tuple(_find_opposed(shared, biases)),
     )
 
 
@@ -261,7 +261,7 @@ def _common(
             )
 
 
-def _opposed(
+def _find_opposed(
     shared: Mapping[str, Mapping[int, SensorCalibration]], biases: Mapping[str, Floats]
 ) -> Iterator[OpposedChange]:
     for chip, names in _designs(shared, list(biases)).items():

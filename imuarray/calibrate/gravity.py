@@ -129,7 +129,7 @@ def solve(readings: Floats, weight: Floats, terms: Floats, up_box: Floats, itera
         residual = readings - coefficients @ design.T
         tangents = _tangents(up_box)
         slopes = np.einsum("ap,kpi->aki", coefficients[:, :3], tangents)
-        shared, reduced = _reduced(design, weight, slopes, of_axes)
+        shared, reduced = _reduce_axes(design, weight, slopes, of_axes)
         values, vectors = np.linalg.eigh(reduced)
         inverse = (vectors[:, _FREE:] / np.maximum(values[_FREE:], 1e-300)) @ vectors[:, _FREE:].T
         step = inverse @ np.einsum("aki,ak->ki", slopes, weight * residual).ravel()
@@ -148,7 +148,7 @@ def _tangents(up: Floats) -> Floats:
     return np.stack([first, np.cross(up, first)], axis=2)
 
 
-def _reduced(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tuple[Floats, Floats]:
+def _reduce_axes(design: Floats, weight: Floats, slopes: Floats, own: Floats) -> tuple[Floats, Floats]:
     """Return the change (a, p, 2k) of the axes with the directions, and the directions' information matrix (2k, 2k)
     after elimination of the axes.
     """
@@ -189,7 +189,7 @@ def turn_into_box_frame(bundle: Bundle, orientations: Floats) -> BoxFrameFit:
     rows = bundle.coefficients[:, :3] @ turn
     rotate = np.eye(p)
     rotate[:3, :3] = turn.T
-    free, turned_by = _turned_by(rows, stacked, p)
+    free, turned_by = _rotation_derivative(rows, stacked, p)
     into = np.kron(np.eye(axes), rotate)
     held = (np.eye(axes * p) + free @ turned_by) @ into
     covariance = bundle.covariance()
@@ -208,7 +208,7 @@ def turn_into_box_frame(bundle: Bundle, orientations: Floats) -> BoxFrameFit:
     )
 
 
-def _turned_by(rows: Floats, stacked: Floats, p: int) -> tuple[Floats, Floats]:
+def _rotation_derivative(rows: Floats, stacked: Floats, p: int) -> tuple[Floats, Floats]:
     """Return the derivative (a p, 3) of the coefficients by a common rotation, and the rotation (3, a p) that keeps the
     mean response symmetric if the coefficients change.
     """
@@ -383,7 +383,7 @@ def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence
     CalibrationError if the poses do not spread enough.
     """
     scale = readings.sensitivity[:, None, None]
-    values = _by_axis(readings.mean_lsb / scale)
+    values = _flatten_axes(readings.mean_lsb / scale)
     terms = np.ones((len(readings.poses), 1))
     bundle = solve(values, 1 / variance_g2, terms, directions_of(readings))
     if bundle.stiffness < _SOFTEST:
@@ -422,8 +422,8 @@ class _JointFit:
 def _fit_jointly(readings: PoseReadings) -> _JointFit:
     """Fit all sensors and directions, including the drift and the scatter estimated from the readings."""
     scale = readings.sensitivity[:, None, None]
-    values = _by_axis(readings.mean_lsb / scale)
-    noise = _by_axis(readings.variance_lsb2 / scale**2)
+    values = _flatten_axes(readings.mean_lsb / scale)
+    noise = _flatten_axes(readings.variance_lsb2 / scale**2)
     terms, bundle = _fit_drift(readings, values, noise, directions_of(readings))
     if bundle.stiffness < _SOFTEST:
         raise CalibrationError(insufficient_poses(readings.sensors[0]))
@@ -442,7 +442,7 @@ def _fit_jointly(readings: PoseReadings) -> _JointFit:
     return _JointFit(readings, values, bundle, np.sqrt(beyond), chi_squared, freedom)
 
 
-def _by_axis(triads: Floats) -> Floats:
+def _flatten_axes(triads: Floats) -> Floats:
     """Reorder (s, k, 3) to (3 s, k)."""
     return triads.transpose(0, 2, 1).reshape(-1, triads.shape[1])
 

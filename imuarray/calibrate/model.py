@@ -381,7 +381,7 @@ class Calibration:
         """Return this calibration with logs, software, epoch and bias temperature as the provenance of every measured
         group that has none.
         """
-        return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
+        return replace(self, sensors={name: _add_provenance(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: SensorDescription) -> SensorCalibration:
         """Return the calibration of `sensor`; an empty calibration returns the data sheet's values. CalibrationError if
@@ -538,7 +538,7 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
     )
 
 
-def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibration:
+def _add_provenance(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibration:
     """Return a sensor's calibration with its provenance."""
     origin = Provenance(tuple(str(log.path) for log in logs), f"imuarray {__version__}", logs[0].epoch if logs else "")
     warm = replace(origin, temperature_degc=sensor.temperature_degc)
@@ -575,14 +575,14 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     sensors: dict[str, SensorCalibration] = {}
     array = EntryPlace(str(path), key_lines(content), ("sensor",), "sensor")
     for index, entry in enumerate(entries, start=1):
-        sensor = _from_table(entry, array.entry(index))
+        sensor = _read_sensor(entry, array.entry(index))
         if sensor.name in sensors:
             raise CalibrationError(f"{array.entry(index).key('name')}: {sensor.name!r} appears twice")
         sensors[sensor.name] = sensor
     return Calibration(sensors, tuple(sources))
 
 
-def _from_table(entry: object, where: EntryPlace) -> SensorCalibration:
+def _read_sensor(entry: object, where: EntryPlace) -> SensorCalibration:
     sensor = read_table(entry, where, SensorCalibration)
     if _UNITS.get(sensor.quantity) != sensor.unit:
         choices = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())

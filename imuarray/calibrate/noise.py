@@ -159,7 +159,7 @@ def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ra
     axes = parts[0].mean.shape[1]
     squares, logs, freedom = np.zeros((*shared.shape[:2], axes)), np.zeros(shared.shape), 0
     for part in parts:
-        sums = _filtered(part, times[:, None, None], shared, noise)
+        sums = _filter(part, times[:, None, None], shared, noise)
         squares += sums.values - sums.mixed**2 / sums.ones
         logs += sums.logs + np.log(sums.ones)
         freedom += len(part.time_s) - 1
@@ -179,7 +179,7 @@ class _LikelihoodSums(NamedTuple):
     logs: Floats
 
 
-def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _LikelihoodSums:
+def _filter(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _LikelihoodSums:
     """Filter one stretch and return its sums; `shared` is the variance of the sampled process, `noise` that of a mean
     about it. Compiled code filters one point of the grid after the other; without it, all points are filtered at once.
     """
@@ -323,10 +323,10 @@ def calibrate_noise(
     sensors done, and their total.
     """
     require_logs(logs, "calibrate_noise(*logs)")
-    return _calibrated(logs, known, _FALSE_ALARM, progress)
+    return _calibrate(logs, known, _FALSE_ALARM, progress)
 
 
-def _calibrated(
+def _calibrate(
     logs: Sequence[Log],
     known: Calibration | None,
     false_alarm: float | None,
@@ -369,7 +369,7 @@ def with_noise_of(
     lacking = [name for name, each in calibrated.items() if each.noise_lsb is None and (not names or name in names)]
     if not lacking:
         return calibration
-    measured = _calibrated([log], calibration, None, progress)
+    measured = _calibrate([log], calibration, None, progress)
     return calibration.merged(Calibration({name: measured.sensors[name] for name in lacking}, measured.sources))
 
 

@@ -133,7 +133,7 @@ def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> S
         total += rows
         for index in range(3):
             for line in find_lines(spectrum, index, false_alarm).lines:
-                _continued(tracks[index], line, _NEAR * spectrum.resolution_hz).add(line, rows)
+                _find_track(tracks[index], line, _NEAR * spectrum.resolution_hz).add(line, rows)
     return [
         [
             (track, total)
@@ -144,7 +144,7 @@ def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> S
     ]
 
 
-def _continued(tracks: list[_Track], line: SpectralLine, near_hz: float) -> _Track:
+def _find_track(tracks: list[_Track], line: SpectralLine, near_hz: float) -> _Track:
     """Return the track that the line continues, or a new one."""
     close = [track for track in tracks if abs(track.frequencies_hz[-1] - line.frequency_hz) <= near_hz]
     if close:

@@ -79,8 +79,8 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
     gyroscopes with a known response, or from gravity if there are none, as far as the box turned in `log`. Without
     uncertain columns the calibration is returned unchanged.
     """
-    measured = _measured(log.of("angular_rate", only), calibration)
-    accelerometers = _measured(log.of("specific_force", only), calibration)
+    measured = _find_measured(log.of("angular_rate", only), calibration)
+    accelerometers = _find_measured(log.of("specific_force", only), calibration)
     references = [(sensor, calibrated) for sensor, calibrated in measured if not calibrated.uncertain_axes()]
     sensors, axes, refused = dict(calibration.sensors), {}, []
     ends = None if references or not measured else _find_ends(log, accelerometers)
@@ -88,9 +88,9 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
         uncertain = calibrated.uncertain_axes()
         updated: SensorCalibration | None = calibrated
         if uncertain and references:
-            updated = _updated(sensor, calibrated, references, accelerometers)
+            updated = _update_by_rates(sensor, calibrated, references, accelerometers)
         elif uncertain and ends:
-            updated = _turned(sensor, calibrated, ends, accelerometers)
+            updated = _update_by_turns(sensor, calibrated, ends, accelerometers)
         if updated is None:
             refused.append(sensor.name)
             continue
@@ -120,8 +120,8 @@ def _find_ends(log: Log, accelerometers: Sequence[Calibrated]) -> _Ends | None:
     if not accelerometers:
         return None
     try:
-        poses = tuple(find_poses(log, [sensor.name for sensor in (*log.of("angular_rate"), *_logged(accelerometers))]))
-        readings = read_poses(_logged(accelerometers), poses) if len(poses) > 1 else None
+        poses = tuple(find_poses(log, [sensor.name for sensor in (*log.of("angular_rate"), *_logs_of(accelerometers))]))
+        readings = read_poses(_logs_of(accelerometers), poses) if len(poses) > 1 else None
     except CalibrationError:  # too short, or a sensor that clips at rest
         return None
     if readings is None:
@@ -139,11 +139,11 @@ def _find_ends(log: Log, accelerometers: Sequence[Calibrated]) -> _Ends | None:
     return _Ends(poses, force_g / length[:, None], variance * np.eye(force_g.size))
 
 
-def _logged(calibrated: Sequence[Calibrated]) -> list[SensorLog]:
+def _logs_of(calibrated: Sequence[Calibrated]) -> list[SensorLog]:
     return [sensor for sensor, _ in calibrated]
 
 
-def _turned(
+def _update_by_turns(
     sensor: SensorLog, calibrated: SensorCalibration, ends: _Ends, accelerometers: Sequence[Calibrated]
 ) -> SensorCalibration | None:
     """Return the calibration with the response updated by turns between rests, unchanged if they are too few; None if
@@ -169,7 +169,7 @@ def _is_impossible(change: Floats, prior: Floats) -> bool:
     return bool(gammaincc(4.5, moved / 2) < _IMPOSSIBLE)  # nine degrees of freedom
 
 
-def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Calibrated]:
+def _find_measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Calibrated]:
     """Return the sensors that have rows and a measured response."""
     calibrated_sensors = [
         (sensor, calibration.sensors[sensor.name]) for sensor in sensors if sensor.name in calibration.sensors
@@ -181,7 +181,7 @@ def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Ca
     ]
 
 
-def _updated(
+def _update_by_rates(
     sensor: SensorLog,
     calibrated: SensorCalibration,
     references: Sequence[Calibrated],
@@ -218,7 +218,7 @@ def _updated(
     change = covariance @ right / excess
     if _is_impossible(change[:9], prior):
         return None
-    total = covariance[:9, :9] + _of_references(response, references)
+    total = covariance[:9, :9] + _reference_covariance(response, references)
     return replace(
         calibrated,
         response_lsb_per_unit=response + change[:9].reshape(3, 3),
@@ -227,7 +227,7 @@ def _updated(
     )
 
 
-def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats:
+def _reference_covariance(response: Floats, references: Sequence[Calibrated]) -> Floats:
     """Return the covariance (9, 9) of a response by errors of the references' responses. The error of the rate, the
     references' mean, is E rate_box with E the mean of their relative errors, and that of the response is response @ E.
     """

@@ -120,13 +120,13 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
         return np.zeros(rows, bool), 1.0
     warm = _unit(temperatures, rows)
     remaining = _detrend(means, warm)
-    remaining = _whitened(remaining / np.maximum(remaining.std(axis=0), 1e-12))
+    remaining = _whiten(remaining / np.maximum(remaining.std(axis=0), 1e-12))
     if remaining.shape[1] == 0:
         return np.zeros(rows, bool), 1.0
     share, second = best_split(remaining[None], warm)
     beaten = max(
         int(np.count_nonzero(by_chance >= share[0]))
-        for by_chance in _by_chance(rows, remaining.shape[1], seed, tuple(warm))
+        for by_chance in _chance_shares(rows, remaining.shape[1], seed, tuple(warm))
     )
     return second[0] ^ second[0, 0], (beaten + 1) / (_DRAWS + 1)
 
@@ -191,14 +191,14 @@ def _detrend(points: Floats, warm: Floats) -> Floats:
     return np.asarray(centred - warm[:, None] * np.einsum("r,...rd->...d", warm, centred)[..., None, :])
 
 
-def _whitened(points: Floats) -> Floats:
+def _whiten(points: Floats) -> Floats:
     """Return centred points (r, d) scaled to unit scatter in every direction in which they scatter."""
     left_vectors, values, _ = np.linalg.svd(points, full_matrices=False)
     return np.asarray(left_vectors[:, values > 1e-9 * max(float(values.max()), 1e-300)])
 
 
 @lru_cache(maxsize=64)
-def _by_chance(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tuple[Floats, Floats]:
+def _chance_shares(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tuple[Floats, Floats]:
     """Return the shares explained (draws,) if there is one state: with normal scatter and with heavy tails."""
     generator = np.random.default_rng(seed)
     normal, heavy = generator.normal(size=(2, _DRAWS, rows, axes))

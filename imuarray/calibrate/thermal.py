@@ -148,14 +148,14 @@ class SlowRegression:
         spectrum = share @ probable @ self._spectra
         design = self._designs[int(share.argmax())]
         row = (column / (column @ column))[None]
-        variance, freedom = _scaled(row, self._series, design, spectrum)
+        variance, freedom = _scale_variance(row, self._series, design, spectrum)
         return SlowFit(row @ self._series, variance, freedom)
 
 
 def _fit(series: Floats, design: Floats, spectrum: Floats) -> SlowFit:
     """Solve weighted least squares."""
     estimate = _estimator(design, spectrum)
-    variance, freedom = _scaled(estimate, series, design, spectrum)
+    variance, freedom = _scale_variance(estimate, series, design, spectrum)
     return SlowFit(estimate @ series, variance, freedom)
 
 
@@ -165,7 +165,7 @@ def _estimator(design: Floats, spectrum: Floats) -> Floats:
     return np.asarray(np.linalg.inv(weighted @ design) @ weighted)
 
 
-def _scaled(rows: Floats, series: Floats, design: Floats, spectrum: Floats) -> tuple[Floats, Floats]:
+def _scale_variance(rows: Floats, series: Floats, design: Floats, spectrum: Floats) -> tuple[Floats, Floats]:
     """Return the variance (k,) of the linear estimates ``rows @ series``, scaled by the residuals of the cosines that
     contribute to each, and its degrees of freedom (k,).
     """
@@ -418,7 +418,7 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
         _refuse_moving(log)
     ups = [up_of(log, segment_s) for log in logs]
     result = {sensor.name: _heatings(sensor, logs, ups, segment_s) for sensor in sensors}
-    fitted = {sensor.name: _combined(sensor, result[sensor.name]) for sensor in sensors}
+    fitted = {sensor.name: _combine(sensor, result[sensor.name]) for sensor in sensors}
     for sensor in sensors:
         if (thermal := fitted[sensor.name].thermal) is not None:
             refuse_imprecise(sensor, thermal.slope_sem_lsb_per_degc, MOST_SEM_PER_DEGC, _IMPRECISE)
@@ -509,7 +509,7 @@ def _heating(
     return HeatingFit(sensor.name, str(log.path), thermometer.kind, span, gravity, fit)
 
 
-def _combined(sensor: SensorLog, heatings: Sequence[HeatingFit]) -> SensorCalibration:
+def _combine(sensor: SensorLog, heatings: Sequence[HeatingFit]) -> SensorCalibration:
     """Combine the slopes of one sensor from all its heatings; the lag is the one with the narrowest interval."""
     slopes, sems = (
         np.array([getattr(h.fit, f"slope_{name}") for h in heatings]) for name in ("lsb_per_degc", "sem_lsb_per_degc")

@@ -144,7 +144,7 @@ def _fit_sensor(sensor: SensorLog, means_g: Floats, noise_g: float) -> tuple[Tri
     )
     coefficients = _coefficients(sensor, best.x)
     total = slope @ covariance @ slope.T
-    turned = _turned(coefficients)
+    turned = _rotate_mounting(coefficients)
     total += ANGLES_RAD**2 * turned @ turned.T
     return TriadFit(coefficients, total, squares, max(freedom, 0.0), np.zeros(3)), force(best.x)
 
@@ -165,7 +165,7 @@ def _coefficients(sensor: SensorLog, parameters: Floats) -> Floats:
     return np.asarray(np.column_stack([response, parameters[:3]]) * sensor.sensitivity)
 
 
-def _turned(coefficients: Floats) -> Floats:
+def _rotate_mounting(coefficients: Floats) -> Floats:
     """Return the change (12, 3) of coefficients by a rotation of the mounting about each box axis."""
     change = np.zeros((3, 4, 3))
     for axis in range(3):
@@ -250,7 +250,7 @@ def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseR
     """Return the readings in the middle of every stretch in which all sensors have valid ones, and its motion (k,) in
     g.
     """
-    parts = [_of_log(sensors, log) for log in logs]
+    parts = [_read_stretches(sensors, log) for log in logs]
     poses = tuple(pose for each, _, _, _ in parts for pose in each)
     means = np.concatenate([mean for _, mean, _, _ in parts], axis=1)
     variances = np.concatenate([variance for _, _, variance, _ in parts], axis=1)
@@ -259,7 +259,7 @@ def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseR
     return readings, np.concatenate([motion for _, _, _, motion in parts])
 
 
-def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats, Floats, Floats]:
+def _read_stretches(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats, Floats, Floats]:
     """Return the poses (k), the readings in their middle and their variances by noise (s, k, 3), and the motion (k,) of
     one log.
     """
@@ -480,7 +480,11 @@ def calibrate_tumble(
     if labelled and not face_up(labelled[0].phase.name) and not determine_response(labelled):
         labelled = []  # a few phases state which axis was up, in logs of any poses
     faces = select_faces(accelerometers, labelled) if labelled else None
-    reference = _by_gravity(accelerometers, logs, progress) if faces is None else _by_faces(accelerometers, faces)
+    reference = (
+        _calibrate_by_gravity(accelerometers, logs, progress)
+        if faces is None
+        else _calibrate_by_faces(accelerometers, faces)
+    )
     calibrations, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
     turns: dict[str, TurnFit] = {}
     calibrated = [(sensor, calibrations[sensor.name]) for sensor in accelerometers]
@@ -548,7 +552,7 @@ def _warnings(
             )
 
 
-def _by_gravity(
+def _calibrate_by_gravity(
     accelerometers: Sequence[SensorLog], logs: Sequence[Log], progress: Callable[[str, int, int], None]
 ) -> _Reference:
     """Calibrate the accelerometers from any poses; from the six faces if there are no other poses; from the path if
@@ -589,7 +593,7 @@ def _by_gravity(
     )
 
 
-def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
+def _calibrate_by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
     """Calibrate the accelerometers by the paper's Appendix B. The directions are those of the calibrated
     accelerometers, because a table may lean.
     """

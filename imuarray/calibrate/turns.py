@@ -216,7 +216,7 @@ def _fit(
     nominal, prior = response_prior
     inverse = nominal.copy()
     for _ in range(_ITERATIONS):
-        parts = [_missed(turn, inverse) for turn in turns]
+        parts = [_integrate_turn(turn, inverse) for turn in turns]
         missed = np.concatenate([part.missed for part in parts])
         slopes = np.concatenate([part.slope for part in parts])
         weight = np.linalg.inv(_variance(turns, parts, up_covariance))
@@ -276,7 +276,7 @@ class _GravityMisfit:
     onward: Floats
 
 
-def _missed(turn: _Turn, inverse: Floats) -> _GravityMisfit:
+def _integrate_turn(turn: _Turn, inverse: Floats) -> _GravityMisfit:
     """Integrate the rates of a turn and compare the direction of gravity with the one after it."""
     from scipy.spatial.transform import Rotation  # slow to import
 

@@ -107,7 +107,7 @@ def find_alignment(log: Log) -> Alignment | None:
     delays = {} if start_ns is None else _delays(gyroscopes, start_ns)
     rows = tuple(_align(reference, sensor, delays.get(sensor.name)) for sensor in sensors)
     pulses = pulse_offsets(sensors, [row.rate_hz for row in rows])
-    rows = tuple(_with_pulses(row, pulses.get(row.name)) for row in rows)
+    rows = tuple(_add_pulses(row, pulses.get(row.name)) for row in rows)
     return Alignment(
         reference.name,
         rows,
@@ -117,7 +117,7 @@ def find_alignment(log: Log) -> Alignment | None:
     )
 
 
-def _with_pulses(row: SensorAlignment, pulses: PulseOffset | None) -> SensorAlignment:
+def _add_pulses(row: SensorAlignment, pulses: PulseOffset | None) -> SensorAlignment:
     if pulses is None:
         return row
     return replace(row, pulses=pulses.pulses, pulse_offset_s=pulses.offset_s, pulse_error_s=pulses.error_s)

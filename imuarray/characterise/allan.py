@@ -190,7 +190,7 @@ def allan_deviation(
     ValueError for any other argument: fewer than two values, values that are not real and finite, an interval that is
     not positive.
     """
-    series = _checked(values, interval_s)
+    series = _check_series(values, interval_s)
     used_factors = _factors(len(series), factors)
     if estimator not in get_args(Estimator):
         raise ValueError(f"estimator is {estimator!r}, one of {', '.join(get_args(Estimator))} is required")
@@ -246,7 +246,7 @@ def _moments_of_runs(column: CountColumn, phase: Values, sizes: Integers, factor
     return DifferenceMoments(sums_of_squares_within(phase, place, factors), averages, changes.kurtosis())
 
 
-def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:
+def _check_series(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:
     """Return the series as an array; ValueError."""
     series = np.asarray(values)
     if series.ndim not in (1, 2) or len(series) < 2 or series.size == 0 or series.dtype.kind not in "biuf":

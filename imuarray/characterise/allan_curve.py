@@ -86,7 +86,7 @@ def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise 
     """
     if len(averages) < MIN_AVERAGES:
         return None
-    series = _without_line(averages)
+    series = _detrend(averages)
     r = _lag1(series)
     if r < 1 / 3:
         return "white"
@@ -95,7 +95,7 @@ def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise 
     return "flicker" if _lag1(np.diff(series)) < limit else "random walk"
 
 
-def _without_line(series: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _detrend(series: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Residual from the least-squares line."""
     at = np.arange(len(series)) - (len(series) - 1) / 2
     centred = series - series.mean()

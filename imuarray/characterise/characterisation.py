@@ -71,8 +71,8 @@ def render_text(result: Mapping[str, Any]) -> str:
         ]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
     if result["alignment"] is not None:
-        lines += ["", *_alignment(result["alignment"]), *_wrapped(_ALIGNMENT_NOTES)]
-    return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
+        lines += ["", *_alignment(result["alignment"]), *_wrap(_ALIGNMENT_NOTES)]
+    return "\n".join([*lines, "", *_wrap(_NOTES), ""])
 
 
 def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
@@ -81,7 +81,7 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
     if alignment["delays_from"]:
         since = f"{alignment['motion_from_s']:.0f} s"
         motion = f"; delays relative to {alignment['delays_from']}, by the rotation from {since} on"
-    yield from _wrapped(f"alignment in time, relative to {alignment['reference']}{motion}")
+    yield from _wrap(f"alignment in time, relative to {alignment['reference']}{motion}")
     yield from _ALIGNMENT_HEAD
     for sensor in alignment["sensors"]:
         distance = "-" if sensor["row_apart_s"] is None else _seconds(sensor["row_apart_s"])
@@ -102,7 +102,7 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
 
 def _pulses(alignment: Mapping[str, Any]) -> Iterator[str]:
     """Yield the table of the times of synchronisation pulses, one line per sensor that has them."""
-    yield from _wrapped(f"synchronisation pulses, relative to {alignment['pulses_from']}")
+    yield from _wrap(f"synchronisation pulses, relative to {alignment['pulses_from']}")
     yield f"{'sensor':12} {'pulses':>10} {'later by us':>20}"
     for sensor in alignment["sensors"]:
         if sensor["pulse_offset_s"] is not None:
@@ -122,7 +122,7 @@ def _micro(seconds: float | None) -> str:
     return "-" if seconds is None else f"{1e6 * seconds:.1f}"
 
 
-def _wrapped(text: str) -> list[str]:
+def _wrap(text: str) -> list[str]:
     return textwrap.wrap(text, WIDTH)
 
 
@@ -130,10 +130,10 @@ def _heading(result: Mapping[str, Any]) -> Iterator[str]:
     """Yield the log and the stretch, and a warning if no phase is at rest."""
     stretch = result["stretch"]
     emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
-    yield from _wrapped(f"{result['log']}{emulated}")
+    yield from _wrap(f"{result['log']}{emulated}")
     phase = f"phase {stretch['phase']!r}, " if stretch["phase"] is not None else ""
     direction = f", {stretch['up']} up" if stretch["up"] else ""
-    yield from _wrapped(
+    yield from _wrap(
         f"{phase}{stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s{direction} ({stretch['chosen_by']})"
     )
     if stretch["phase"] is None:
@@ -156,8 +156,8 @@ def _line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
     return (
         f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {_number(values['mean'], 4):>10} "
         f"{_number(values['std'], 4):>9} {_number(axis['counts']['std'], 4):>8} {_number(values['sem']):>9} "
-        f"{_fixed(axis['lag1'], 3):>6} {_fixed(axis['even_share'], 1, 100):>5} "
-        f"{_fixed(_repeat_share(sensor), 2, 100):>6}"
+        f"{_format_fixed(axis['lag1'], 3):>6} {_format_fixed(axis['even_share'], 1, 100):>5} "
+        f"{_format_fixed(_repeat_share(sensor), 2, 100):>6}"
     )
 
 
@@ -214,7 +214,7 @@ def _number(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}g}"
 
 
-def _fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
+def _format_fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
     return "-" if value is None else f"{value * factor:.{digits}f}"
 
 
@@ -233,7 +233,7 @@ def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
         f"{sensor['gaps']:>5} {_number(longest_ms, 4):>9}  {stretch}"
     )
     if sensor["rows"] > run["rows"] > 1:
-        yield f"{'':12} {_fixed(run['left_out_share'], 1, 100)} % of the rows excluded from the Allan deviation"
+        yield f"{'':12} {_format_fixed(run['left_out_share'], 1, 100)} % of the rows excluded from the Allan deviation"
     flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items() if count)
     if flags:
         yield f"{'':12} {flags}"
@@ -356,13 +356,13 @@ class Characterisation:
         for sensor in self.result["sensors"]:
             for entry in sensor["axes"]:
                 coefficients = (self.coefficient(sensor["name"], entry["axis"], term) for term in TERMS)
-                rows.append((f"{sensor['name']} {entry['axis']}", sensor["unit"], *map(_spelled, coefficients)))
+                rows.append((f"{sensor['name']} {entry['axis']}", sensor["unit"], *map(_spell, coefficients)))
         heading = ("axis", "unit", "N, unit/√Hz", "B, unit", "K, unit/√s")
         title = f"{self!r}; intervals of 95 %; in brackets: not a noise of this kind".strip("<>")
         return html_table(title, heading, rows)
 
 
-def _spelled(coefficient: Coefficient | None) -> str:
+def _spell(coefficient: Coefficient | None) -> str:
     if coefficient is None:
         return "–"
     if not coefficient.significant:

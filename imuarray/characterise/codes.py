@@ -202,7 +202,7 @@ def _step(codes: Integers) -> int:
 
 def _missing(distribution: Histogram, step: int) -> tuple[tuple[CodeGap, ...], int]:
     """Return the most improbable gaps, and how many codes are missing in all."""
-    codes, counts = _on_grid(distribution, step)
+    codes, counts = _grid_counts(distribution, step)
     if len(codes) < 2:
         return (), 0
     absent = np.diff(codes) // step - 1
@@ -213,7 +213,7 @@ def _missing(distribution: Histogram, step: int) -> tuple[tuple[CodeGap, ...], i
     return tuple(gaps), int(absent.sum())
 
 
-def _on_grid(distribution: Histogram, step: int) -> tuple[Integers, Integers]:
+def _grid_counts(distribution: Histogram, step: int) -> tuple[Integers, Integers]:
     """Integers and counts on the grid of the most frequent code."""
     if step == 0:
         return distribution.codes[:0], distribution.counts[:0]
@@ -298,7 +298,7 @@ def find_rails(sensor: SensorLog) -> Rails:
     for axis, codes in enumerate(distributions):
         for side in (-1, 1):
             code = int(codes.codes[-1 if side > 0 else 0])
-            verdict = code == span[side > 0] or _at_end(codes, side, nominal, readings / len(sensor))
+            verdict = code == span[side > 0] or _is_rail(codes, side, nominal, readings / len(sensor))
             if verdict:
                 (high if side > 0 else low)[axis] = code
             elif verdict is None:
@@ -315,7 +315,7 @@ def find_rails(sensor: SensorLog) -> Rails:
     return Rails(low, high, np.array(rows, np.int64))
 
 
-def _at_end(distribution: Histogram, side: int, nominal: int, new_share: float) -> bool | None:
+def _is_rail(distribution: Histogram, side: int, nominal: int, new_share: float) -> bool | None:
     """Return whether the last code on a side is a rail; None if that depends on whether the box moved. `new_share` of
     the rows are readings of their own, and the others repeat them.
     """

@@ -64,16 +64,14 @@ def findings(result: Mapping[str, Any]) -> list[str]:
     sensors = [sensor for sensor in result["sensors"] if sensor["timing"] is not None]
     return [
         *about_box,
-        *_merged(sensors, _timing, _adaptive_range, _repeats, _rails, _ends),
+        *_merge(sensors, _timing, _adaptive_range, _repeats, _rails, _ends),
         *_lines(sensors),
-        *(_merged(sensors, _slow_change) if result["stretch"]["phase"] is not None else ()),
-        *_merged(sensors, _codes, _correlation, _fit),
+        *(_merge(sensors, _slow_change) if result["stretch"]["phase"] is not None else ()),
+        *_merge(sensors, _codes, _correlation, _fit),
     ]
 
 
-def _merged(
-    sensors: Sequence[Mapping[str, Any]], *kinds: Callable[[Mapping[str, Any]], Iterator[_Remark]]
-) -> list[str]:
+def _merge(sensors: Sequence[Mapping[str, Any]], *kinds: Callable[[Mapping[str, Any]], Iterator[_Remark]]) -> list[str]:
     """Return one text for each sentence of each kind in turn, with its places and numbers."""
     groups: dict[str, list[_Remark]] = {}
     for remark in (remark for kind in kinds for sensor in sensors for remark in kind(sensor)):

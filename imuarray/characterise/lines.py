@@ -120,15 +120,15 @@ def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
     power[-1] *= 2  # the bin at half the rate has no negative frequency
     height = np.log(np.concatenate([power, power[-2:0:-1]]))  # ... and the bins above it mirror those below
     wide = np.arange(FIRST_BIN // 2, last + 1)
-    trend = _smoothed(_joined_medians(height, wide, last), wide, last)
+    trend = _smooth(_join_medians(height, wide, last), wide, last)
     rest = np.zeros(len(height))
     rest[wide] = height[wide] - trend
     rest[last + 1 :] = rest[last - 1 : 0 : -1]
     bins = wide[-(last + 1 - FIRST_BIN) :]
-    level = trend[-len(bins) :] + _joined_medians(rest, bins, last)
+    level = trend[-len(bins) :] + _join_medians(rest, bins, last)
     freedom = spectrum.freedom[bins]
     floor_freedom = 2 / _variance(float(freedom[0]), int(bins[0]), last)
-    freedom = freedom * _thinned(height[bins] - level, float(freedom[0]), float(np.median(floor_freedom)))
+    freedom = freedom * _scatter_factor(height[bins] - level, float(freedom[0]), float(np.median(floor_freedom)))
     density = np.exp(level) / (chdtri(freedom[0], 0.5) / freedom[0])
     density[-1] /= 2
     return NoiseFloor(bins, density, floor_freedom, freedom)
@@ -139,7 +139,7 @@ def _sides(bins: Indices, last: int) -> Indices:
     return np.clip((_SHARE * bins).astype(np.intp), _LEAST, min(_SIDE, max(_LEAST, last // 16)))
 
 
-def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
+def _join_medians(height: Floats, bins: Indices, last: int) -> Floats:
     """Return at each bin the medians of the bins below and above it, interpolated over log frequency (b,)."""
     joined = np.empty(len(bins))
     for side, rows, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
@@ -207,7 +207,7 @@ def _median(height: Floats, first: Indices, side: Indices) -> Floats:
     return np.asarray(np.where(side % 2, high, (low + high) / 2))
 
 
-def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
+def _smooth(height: Floats, bins: Indices, last: int) -> Floats:
     """Return the means (b,) of the neighbours of each of all `bins`, over half the width of the floor's sides."""
     half = np.minimum(_sides(bins, last) // 2, bins - bins[0])
     sums = np.concatenate([[0.0], np.cumsum(np.concatenate([height, height[-2 : -2 - _SIDE : -1]]))])
@@ -247,7 +247,7 @@ def _share_of_one(side: int) -> float:
     return 2 * sum(shared) - shared[0] - 2 * float(weights[len(weights) // 2])
 
 
-def _thinned(rest: Floats, freedom: float, floor_freedom: float) -> float:
+def _scatter_factor(rest: Floats, freedom: float, floor_freedom: float) -> float:
     """Return the factor by which the scatter of the log ratios (b,) reduces the degrees of freedom; 1 within three
     standard errors.
     """
@@ -325,7 +325,7 @@ def find_lines(spectrum: Spectrum, column: int = 0, false_alarm: float = FALSE_A
     if len(floor.bins) == 0:
         return LineSearch((), frequency_hz, floor.density, floor.density, false_alarm)
     level = floor.level(false_alarm / len(floor.bins))
-    power = _mirrored(spectrum.density[:, column])
+    power = _mirror(spectrum.density[:, column])
     peaks = [at for at in _peaks(power, floor.bins, level) if _is_narrow(power, floor, at, false_alarm)]
     chances = floor.exceedance(spectrum.density[:, column], peaks) * len(floor.bins)
     lines = tuple(
@@ -346,7 +346,7 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
     return tuple(sorted(frequency_hz for frequency_hz in frequencies_hz if 0 <= frequency_hz <= highest_hz))
 
 
-def _mirrored(density: Floats) -> Floats:
+def _mirror(density: Floats) -> Floats:
     """Return the density (m + 1,) and one mirrored bin; the bin at half the rate (no negative frequency) is doubled."""
     return np.concatenate([density[:-1], 2 * density[-1:], density[-2:-1]])
 
@@ -371,7 +371,7 @@ def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) ->
     The significance level is the square root of that of a bin. This weak condition rejects few real lines; if the floor
     is right, it rejects hardly any peak.
     """
-    neighbours = float(_reflected(power, int(floor.bins[at]) + _NEIGHBOURS).mean())
+    neighbours = float(_reflect(power, int(floor.bins[at]) + _NEIGHBOURS).mean())
     freedom = float(floor.spectrum_freedom[at])
     chance = sqrt(false_alarm / len(floor.bins))
     return bool(power[floor.bins[at]] > neighbours * fdtri(freedom, len(_NEIGHBOURS) * freedom, 1 - chance))
@@ -379,11 +379,11 @@ def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) ->
 
 def _tilt(power: Floats, bin_: int) -> float:
     """Slope of the log of the noise at a line, per bin, from the medians of eight bins on either side."""
-    below, above = (float(np.median(_reflected(power, bin_ + side * _SLOPE_BINS))) for side in (-1, 1))
+    below, above = (float(np.median(_reflect(power, bin_ + side * _SLOPE_BINS))) for side in (-1, 1))
     return log(above / below) / (2 * float(_SLOPE_BINS.mean()))
 
 
-def _reflected(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
+def _reflect(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
     """Return the power (b,) at `bins`, mirrored at half the rate."""
     last = len(power) - 2
     return np.asarray(power[last - np.abs(last - bins)])
@@ -414,7 +414,7 @@ def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_a
     square = 2 * NOISE_BANDWIDTH / _three_bins(offset) * total * spectrum.resolution_hz
     amplitude = sqrt(square) / (2 if is_last else 1)
     errors = noise**2 * (2 * _SHARED**2 / floor.spectrum_freedom[at] + 2 / floor.freedom[at])
-    errors += 2 * noise * total * _beside_line(offset, spectrum)
+    errors += 2 * noise * total * _line_covariance(offset, spectrum)
     slope = (4 + offset**2) ** 2 / (4 * (4 - offset**2)) / total * np.array([-1 - g, -g, 1 - g])
     offset_error = sqrt(1 / 12) if is_last else sqrt(float(slope @ errors @ slope))
     amplitude_error = amplitude / (2 * total) * sqrt(float(errors.sum()))
@@ -430,7 +430,7 @@ def _three_bins(offset: float) -> float:
     return 3 * (2 + offset**2) * (4 + offset**2) / (4 - offset**2) ** 2 * _lobe(offset)
 
 
-def _beside_line(offset: float, spectrum: Spectrum) -> Floats:
+def _line_covariance(offset: float, spectrum: Spectrum) -> Floats:
     """Covariance (3, 3) of the three bins' powers from the product of line and noise, for unit power and unit noise.
 
     With the line's phase taken out, the noise of bin a in one segment is the sum of w(t) e^(-2 pi i (a - d) t) times

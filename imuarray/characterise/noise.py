@@ -81,7 +81,7 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
     origin: Floats | None = None
     for batch in _batches(rows):
         in_batch = _RunningMoments(0, zeros, zeros)
-        for counts in _used_rows(sensor, batch, flags, left_out):
+        for counts in _read_used(sensor, batch, flags, left_out):
             origin = counts.mean(axis=1) if origin is None else origin
             levels = counts - origin[:, np.newaxis]
             moments = _moments(levels)
@@ -108,7 +108,7 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
     return NoiseStatistics(rows.stop - rows.start, number, flags, mean, std, sem, lag1, share)
 
 
-def _used_rows(
+def _read_used(
     sensor: SensorLog, rows: slice, flags: dict[str, int], left_out: Spans
 ) -> Iterator[npt.NDArray[np.integer]]:
     """Counts (k, n) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""

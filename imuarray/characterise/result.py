@@ -130,7 +130,7 @@ def _lines(spectrum: Spectrum, slow_spectrum: Spectrum | None, column: int) -> d
     lines = [_line(asdict(line) | {"width_hz": 0.0}, spectrum.rate_hz) for line in narrow]
     lines += [_line(asdict(band), spectrum.rate_hz) for band in bands]
     return {
-        "lines": _with_harmonics(sorted(lines, key=lambda line: -line["amplitude"]), spectrum.resolution_hz),
+        "lines": _add_fundamentals(sorted(lines, key=lambda line: -line["amplitude"]), spectrum.resolution_hz),
         "line_search": {
             "first_hz": search.frequency_hz[0] if len(search.frequency_hz) else math.nan,
             "false_alarm": search.false_alarm,
@@ -144,7 +144,7 @@ def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
     return dict(line) | {"aliases_hz": aliases(min(line["frequency_hz"], rate_hz / 2), rate_hz, _ALIASES_TO_HZ)}
 
 
-def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
+def _add_fundamentals(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
     """Return the lines, each with the `fundamental_hz` that it is a multiple of, None if it is not a harmonic."""
     for line in lines:
         line["fundamental_hz"] = None

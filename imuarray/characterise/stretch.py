@@ -98,11 +98,11 @@ def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
                 f"{log.path}: no phase {phase!r}; it has {', '.join(names) or 'no phases'}{guess(phase, names)}"
             )
         return _stretch(named, "named")
-    rests = [item for item in log.phases if _at_rest(item)]
+    rests = [item for item in log.phases if _is_at_rest(item)]
     return _stretch(rests, "longest phase at rest") if rests else _whole(log)
 
 
-def _at_rest(phase: Phase) -> bool:
+def _is_at_rest(phase: Phase) -> bool:
     return bool(phase.up) or phase.name in STILL_NAMES or phase.name.removesuffix("_check") in FACE_NAMES
 
 

@@ -41,7 +41,7 @@ _update = click.option("--update", is_flag=True, help="keep the contents of CAL.
 _logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, type=PathName())
 
 
-def _by_logs(function: Callable[..., None]) -> Callable[..., None]:
+def _add_log_arguments(function: Callable[..., None]) -> Callable[..., None]:
     """Add the arguments of a command that calibrates by logs: these, and those of `CalibrationOutput`."""
     for parameter in (json_option, force_option, _update, _output, _logs):
         function = parameter(function)
@@ -64,7 +64,7 @@ def command(context: click.Context) -> None:
 
 
 @command.command("tumble", short_help="bias and response, from six faces or from poses")
-@_by_logs
+@_add_log_arguments
 def tumble(runs: tuple[Path, ...], **options: Any) -> None:
     """Determine bias and response of accelerometers, and bias, g-sensitivity and response of gyroscopes.
 
@@ -88,7 +88,7 @@ def tumble(runs: tuple[Path, ...], **options: Any) -> None:
 
 
 @command.command("noise", short_help="noise, its spectrum and drift, from rest")
-@_by_logs
+@_add_log_arguments
 def noise(runs: tuple[Path, ...], **options: Any) -> None:
     """Determine noise, its spectrum and drift of every sensor axis from stretches in which the box was at rest.
 
@@ -108,7 +108,7 @@ def noise(runs: tuple[Path, ...], **options: Any) -> None:
 
 
 @command.command("thermal", short_help="how biases change with temperature")
-@_by_logs
+@_add_log_arguments
 def thermal(runs: tuple[Path, ...], **options: Any) -> None:
     """Determine how biases change with temperature, from logs in which the box was at rest while heated or cooled.
 
@@ -128,7 +128,7 @@ def thermal(runs: tuple[Path, ...], **options: Any) -> None:
 
 
 @command.command("turn-on", short_help="how biases change from one switch-on to the next")
-@_by_logs
+@_add_log_arguments
 @click.option(
     "--seed", default=1, show_default=True, help="seed of the test that decides whether two states are due to chance"
 )

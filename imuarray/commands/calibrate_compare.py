@@ -42,7 +42,7 @@ def print_report(report: dict[str, Any]) -> None:
             " each unit"
         )
         for row in report["common"]:
-            factor, unit = _in_words(row["unit"])
+            factor, unit = _describe_value(row["unit"])
             units = counted(len(row["units"]), "unit")
             click.echo(
                 printable(
@@ -57,7 +57,7 @@ def print_report(report: dict[str, Any]) -> None:
         )
         rows = sorted(report["opposed"], key=lambda row: row["together"] / row["alone"] if row["alone"] else 1.0)
         for row in rows[:_PAIRS]:
-            factor, unit = _in_words(row["unit"])
+            factor, unit = _describe_value(row["unit"])
             chance = "" if row["p_value"] is None else f", p {row['p_value']:.2g}"
             click.echo(
                 printable(
@@ -76,7 +76,7 @@ def _print_changes(changes: list[dict[str, Any]]) -> None:
             f"{'axis':14} {'figure':14} {'from':>12} {'to':>12} {'change':>12}        {'sigmas':>7} {'p':>8}   files"
         )
     for row in changed[:_MOST]:
-        factor, unit = _in_words(row["unit"])
+        factor, unit = _describe_value(row["unit"])
         values = dict(zip(row["calibrations"], row["values"], strict=True))
         first, last = (factor * values[row[end]] for end in ("first", "last"))
         click.echo(
@@ -91,5 +91,5 @@ def _print_changes(changes: list[dict[str, Any]]) -> None:
     click.echo(f"{len(changes) - len(changed)} of {len(changes)} figures agree within their standard errors")
 
 
-def _in_words(unit: str) -> tuple[float, str]:
+def _describe_value(unit: str) -> tuple[float, str]:
     return _UNITS.get(unit, (1.0, unit))

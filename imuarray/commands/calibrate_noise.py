@@ -33,7 +33,7 @@ def print_report(report: dict[str, Any]) -> None:
         for index, axis in enumerate("xyz" if row["noise_lsb"] else ""):
             click.echo(
                 f"{row['name'] + ' ' + axis:14}"
-                f" {_measured(row['noise_lsb'][index], _entry(row['noise_sem_lsb'], index)):>19}"
+                f" {_describe_measured(row['noise_lsb'][index], _entry(row['noise_sem_lsb'], index)):>19}"
                 f" {row['noise'][index]:9.3f} {row['noise_unit'] + ' rms':>7}"
                 f" {_correlation(row['noise_correlation'], index):>8} {_lines(row, axis):>6}"
                 + (f" {_drift(row, index):>18} {_time_constant(row):>24}" if drifting else "").rstrip()
@@ -50,31 +50,31 @@ def _row(sensor: SensorCalibration) -> dict[str, Any]:
     drift = sensor.drift
     return {
         "name": sensor.name,
-        "noise_lsb": _listed(sensor.noise_lsb),
-        "noise_sem_lsb": _listed(sensor.noise_sem_lsb),
-        "noise": [] if sensor.noise_lsb is None else _listed(sensor.noise_lsb * per_count),
+        "noise_lsb": _list_figures(sensor.noise_lsb),
+        "noise_sem_lsb": _list_figures(sensor.noise_sem_lsb),
+        "noise": [] if sensor.noise_lsb is None else _list_figures(sensor.noise_lsb * per_count),
         "noise_unit": unit,
-        "noise_correlation": _listed(sensor.noise_correlation),
+        "noise_correlation": _list_figures(sensor.noise_correlation),
         "lines": [_line(line) for line in sensor.noise_lines],
         "drift": None
         if drift is None
         else {
-            "rms_lsb": _listed(drift.rms_lsb),
-            "rms_sem_lsb": _listed(drift.rms_sem_lsb),
-            "rms_upper_lsb": _listed(drift.rms_upper_lsb),
-            "rms": _listed(drift.rms_lsb * per_count),
+            "rms_lsb": _list_figures(drift.rms_lsb),
+            "rms_sem_lsb": _list_figures(drift.rms_sem_lsb),
+            "rms_upper_lsb": _list_figures(drift.rms_upper_lsb),
+            "rms": _list_figures(drift.rms_lsb * per_count),
             "time_constant_s": drift.time_constant_s,
-            "time_constant_interval_s": _listed(drift.time_constant_interval_s),
+            "time_constant_interval_s": _list_figures(drift.time_constant_interval_s),
             "span_s": drift.span_s,
         },
     }
 
 
 def _line(line: NoiseLine) -> dict[str, Any]:
-    return {**vars(line), "range_hz": _listed(line.range_hz) or None}
+    return {**vars(line), "range_hz": _list_figures(line.range_hz) or None}
 
 
-def _listed(values: Floats | None) -> list[float]:
+def _list_figures(values: Floats | None) -> list[float]:
     return [] if values is None else [float(value) for value in values]
 
 
@@ -82,7 +82,7 @@ def _entry(values: list[float], index: int) -> float | None:
     return values[index] if values else None
 
 
-def _measured(value: float, sem: float | None) -> str:
+def _describe_measured(value: float, sem: float | None) -> str:
     return f"{value:.3f}" if sem is None else f"{value:.3f} +- {sem:.3f}"
 
 
@@ -98,7 +98,7 @@ def _drift(row: dict[str, Any], index: int) -> str:
     rms, sem = drift["rms_lsb"][index], drift["rms_sem_lsb"][index]
     if rms < 2 * sem and drift["rms_upper_lsb"]:
         return f"below {drift['rms_upper_lsb'][index]:.3f}"
-    return _measured(rms, sem)
+    return _describe_measured(rms, sem)
 
 
 def _time_constant(row: dict[str, Any]) -> str:

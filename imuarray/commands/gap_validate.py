@@ -139,7 +139,7 @@ def validate(options: ValidateOptions) -> None:
         folder = options.output
     else:
         raise click.UsageError("--score-only requires the folder of a run: -o DIR")
-    figures = _scored(folder, planned)
+    figures = _score(folder, planned)
     _write(folder, figures, f"imuarray gap validate {_words(plan)} -o {folder.name}")
     _print_figures(figures, options.as_json)
     if any(row.is_refuted for row in figures.failed):
@@ -236,7 +236,7 @@ def _run(options: ValidateOptions, planned: list[Case], plan: dict[str, Any]) ->
     return folder
 
 
-def _scored(folder: Path, planned: list[Any]) -> Figures:
+def _score(folder: Path, planned: list[Any]) -> Figures:
     from imuarray.validation.bench import CHIPS, HIDDEN
     from imuarray.validation.scoring import score_folder
 

@@ -380,11 +380,11 @@ def ended_by_signals() -> Iterator[None]:
     ignored (nohup) stays ignored. Does nothing outside the main thread.
     """
     usual = [number for number in _ENDING[1:] if signal.getsignal(number) is signal.SIG_DFL]
-    with signal_handlers(dict.fromkeys(usual, signal.default_int_handler) if _in_main_thread() else {}):
+    with signal_handlers(dict.fromkeys(usual, signal.default_int_handler) if _is_main_thread() else {}):
         yield
 
 
-def _in_main_thread() -> bool:
+def _is_main_thread() -> bool:
     return threading.current_thread() is threading.main_thread()
 
 
@@ -405,5 +405,5 @@ def _interrupts() -> Iterator[Callable[[], None]]:
             raise KeyboardInterrupt
 
     usual = [number for number in _ENDING if signal.getsignal(number) is signal.default_int_handler]
-    with signal_handlers(dict.fromkeys(usual, ask) if _in_main_thread() else {}):
+    with signal_handlers(dict.fromkeys(usual, ask) if _is_main_thread() else {}):
         yield heed

@@ -41,7 +41,7 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         click.echo(f"{name}: interrupted", err=True)
         return 130
     except click.ClickException as error:
-        return _end(name, _explained(error), 2)
+        return _end(name, _explain(error), 2)
     except ImuArrayError as error:
         return _end(name, str(error), error.exit_code)
     except UnicodeEncodeError as error:  # of the name of a file, the only text that comes from outside as it is
@@ -64,7 +64,7 @@ class _ClosedOutput(io.RawIOBase):
         raise OSError(errno.EBADF, "standard output is closed; nothing can be printed")
 
 
-def _explained(error: click.ClickException) -> str:
+def _explain(error: click.ClickException) -> str:
     """Return the message of an error, with what is allowed where click does not say it."""
     text = error.format_message()
     context = error.ctx if isinstance(error, click.UsageError) else None

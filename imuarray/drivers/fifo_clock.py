@@ -54,10 +54,10 @@ class _Window:
         before, after = until_ns - self.origin_ns, from_ns - self.origin_ns
         late = [start + steps * period - before for start, period in self.vertices]
         if max(late) > SLIVER_NS:
-            self.vertices, self._center = _kept(self.vertices, late), None
+            self.vertices, self._center = _clip_polygon(self.vertices, late), None
         early = [after - start - (steps + 1) * period for start, period in self.vertices]
         if early and max(early) > SLIVER_NS:
-            self.vertices, self._center = _kept(self.vertices, early), None
+            self.vertices, self._center = _clip_polygon(self.vertices, early), None
         return len(self.vertices) > 2
 
     @property
@@ -85,7 +85,7 @@ class _Window:
         return max(max(times) - center_ns, center_ns - min(times))
 
 
-def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
+def _clip_polygon(vertices: Vertices, excess: list[float]) -> Vertices:
     """Return the part of a convex polygon on which `excess` is not positive; it is given at the vertices, linear in
     between.
     """

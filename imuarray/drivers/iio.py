@@ -213,7 +213,7 @@ class IioSensor:
         scale = self._common("scale")
         if not 0 < scale < math.inf:
             raise SensorError(f"{self.device}: {attribute} is {scale:g}; a positive number is required")
-        scale = self._unrounded(scale, self.device.read(attribute) or "")
+        scale = self._exact_scale(scale, self.device.read(attribute) or "")
         full_scale = reach * scale / self.unit_si
         if wanted is not None and full_scale < RANGE_MARGIN * wanted:
             raise SensorError(
@@ -238,7 +238,7 @@ class IioSensor:
         if not math.isclose(kept, float(text), rel_tol=SCALE_MARGIN):
             raise SensorError(f"{self.device}: {attribute} reads {kept:g} after {text} was written")
 
-    def _unrounded(self, scale: float, text: str) -> float:
+    def _exact_scale(self, scale: float, text: str) -> float:
         """Return the data sheet's scale that the kernel printed as `text`, if there is one: some drivers print six
         digits after the point, of which three are zeros for a gyroscope, or multiples of a rounded value.
         """

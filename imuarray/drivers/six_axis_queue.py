@@ -187,14 +187,14 @@ class DieQueue:
         if at_ns is None or at_ns - now_ns > LONGEST_WAIT_NS:
             return
         self.clock.sleep_until(at_ns)
-        count, _, (from_ns, until_ns) = self._counted()
+        count, _, (from_ns, until_ns) = self._count_between()
         self.times.look(count, from_ns, until_ns)
 
     def _count(self) -> tuple[int, int]:
         """Return the number of samples in the chip's queue, and its flags; OSError for an impossible number."""
         raise NotImplementedError
 
-    def _counted(self) -> tuple[int, int, tuple[int, int]]:
+    def _count_between(self) -> tuple[int, int, tuple[int, int]]:
         """Return the samples in the chip, flags, and the times between which the chip counted."""
         begun_ns = self.clock.now_ns()
         count, flags = self._count()
@@ -336,9 +336,9 @@ class Icm42688Queue(DieQueue):
         self._stamp, self._full = None, False
 
     def _count(self) -> tuple[int, int]:
-        return self._counted_in(self.registers.peek(icm42688.INT_STATUS, _FLAGS_AND_COUNT))
+        return self._parse_count(self.registers.peek(icm42688.INT_STATUS, _FLAGS_AND_COUNT))
 
-    def _counted_in(self, burst: bytes) -> tuple[int, int]:
+    def _parse_count(self, burst: bytes) -> tuple[int, int]:
         status, high, low = burst[:_FLAGS_AND_COUNT]
         filled = high << 8 | low
         if filled > self.CAPACITY + self.size:
@@ -347,7 +347,7 @@ class Icm42688Queue(DieQueue):
         return filled // self.size, int(self._full)
 
     def _drain(self) -> bool:
-        count, full, counted_ns = self._counted()
+        count, full, counted_ns = self._count_between()
         if full and not self._has_stamp:  # missing packets would not be detected
             self.overruns += 1
             return False
@@ -374,7 +374,7 @@ class Icm42688Queue(DieQueue):
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
         """Implement `UnattendedQueue`. After the packets of the queue, headers state that it is empty (TDK-81)."""
         (burst,) = answers
-        count, full = self._counted_in(burst)
+        count, full = self._parse_count(burst)
         headers = burst[_FLAGS_AND_COUNT :: self.size]
         present = next((index for index, header in enumerate(headers) if header & 0xF0 != self._header), len(headers))
         is_whole = present >= min(count, len(headers))
@@ -476,7 +476,7 @@ class MpuQueue(DieQueue):
         return filled // self.SIZE, int(filled > self._capacity - self.SIZE)
 
     def _drain(self) -> bool:
-        count, nearly_full, counted_ns = self._counted()
+        count, nearly_full, counted_ns = self._count_between()
         if not count:
             return True
         records = self._read(self._table["FIFO_R_W"], count, self.SIZE)
@@ -568,9 +568,9 @@ class Lsm6dsoQueue(DieQueue):
 
     def _count(self) -> tuple[int, int]:
         """Return the number of words for samples: each half and the temperature are separate words."""
-        return self._counted_in(self.registers.peek(lsm6dso.FIFO_STATUS1, 2))
+        return self._parse_count(self.registers.peek(lsm6dso.FIFO_STATUS1, 2))
 
-    def _counted_in(self, status: bytes) -> tuple[int, int]:
+    def _parse_count(self, status: bytes) -> tuple[int, int]:
         low, high = status
         count = lsm6dso.FIFO_LEVEL_HIGH.of(high) << 8 | low
         if count > self.CAPACITY:
@@ -581,7 +581,7 @@ class Lsm6dsoQueue(DieQueue):
         """Do nothing: a count of words does not show to which half they belong."""
 
     def _drain(self) -> bool:
-        count, lost, counted_ns = self._counted()
+        count, lost, counted_ns = self._count_between()
         if not count:
             return True
         data = self._read(lsm6dso.FIFO_DATA_OUT_TAG, count, self.WORD)
@@ -630,7 +630,7 @@ class Lsm6dsoQueue(DieQueue):
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
         """See `UnattendedQueue`."""
         status, data = answers
-        count, lost = self._counted_in(status)
+        count, lost = self._parse_count(status)
         present = min(count, len(data) // self.WORD)
         period_ns = next(iter(self._clocks.values())).period_ns
         taken = self._drains.since_ns(counted_ns[0]) / period_ns * self._words_per_sample

@@ -56,7 +56,9 @@ def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     columns = []
     for name, unit in COMPENSATED_UNITS.items():
         with suppress(LogError):
-            columns.append(_stored(name, sensor.compensated(name), unit, "<f4" if name in SINGLE_PRECISION else "<f8"))
+            columns.append(
+                _stored_column(name, sensor.compensated(name), unit, "<f4" if name in SINGLE_PRECISION else "<f8")
+            )
     return tuple(columns)
 
 
@@ -79,12 +81,12 @@ def _temperature(sensor: SensorLog) -> tuple[TableColumn, ...]:
         return ()
     degc = degc_of(sensor)
     if degc is None or not has_zero(sensor):
-        return (_stored("temperature_counts", column, "counts", "<i2"),)
+        return (_stored_column("temperature_counts", column, "counts", "<i2"),)
     zero, step = degc
     return (TableColumn("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
 
 
-def _stored(name: str, column: Any, unit: str, kind: str = "", cells: tuple[str, ...] = ()) -> TableColumn:
+def _stored_column(name: str, column: Any, unit: str, kind: str = "", cells: tuple[str, ...] = ()) -> TableColumn:
     """Return a column of a file, as it is stored or as numbers of the type `kind`."""
     kind = kind or column.dtype.newbyteorder("<").str
     return TableColumn(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
@@ -117,7 +119,7 @@ def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Cont
 def _content(log: Log, request: ExportRequest, units: str) -> Content:
     sensors = [log[name] for name in request.sensors] or list(log.sensors.values())
     calibration = request.calibration or Calibration()
-    uncalibrated = () if request.calibration is None else _uncalibrated(log, sensors, calibration)
+    uncalibrated = () if request.calibration is None else _find_uncalibrated(log, sensors, calibration)
     warm = bias_temperatures(log, calibration) if units != "counts" else {}
     tables = []
     for sensor in sensors:
@@ -138,7 +140,7 @@ def _content(log: Log, request: ExportRequest, units: str) -> Content:
     return Content(units, log.epoch, head, (*tables, *tracks), log.phases, log.events, uncalibrated)
 
 
-def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) -> tuple[str, ...]:
+def _find_uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) -> tuple[str, ...]:
     """Return the triads that are missing in a calibration; ExportError if it has none of them."""
     triads = [sensor.name for sensor in sensors if sensor.is_triad]
     unknown = tuple(name for name in triads if name not in calibration.sensors)
@@ -153,16 +155,16 @@ def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -
     attributes: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:
         attributes["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
-    time, status = _stored("time", sensor.time, "ns", "<i8"), _stored("status", sensor.status, "1", "<u2")
+    time, status = _stored_column("time", sensor.time, "ns", "<i8"), _stored_column("status", sensor.status, "1", "<u2")
     columns = (time, *rest[:1], status, *rest[1:])
     return ExportTable(f"sensors/{sensor.name}", len(sensor), columns, header | attributes)
 
 
 def _raw_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Return all columns of a sensor as they are stored in the log, except time and status."""
-    columns = [_stored("counts", sensor.counts, "counts", cells=sensor.count_columns)]
+    columns = [_stored_column("counts", sensor.counts, "counts", cells=sensor.count_columns)]
     if sensor.temperature_counts is not None:
-        columns.append(_stored("temperature_counts", sensor.temperature_counts, "counts"))
+        columns.append(_stored_column("temperature_counts", sensor.temperature_counts, "counts"))
     return (*columns, *compensated_columns(sensor))
 
 
@@ -197,7 +199,7 @@ def _tracks(log: Log) -> Iterator[ExportTable]:
         for part, column in stored.items():
             unit = "ns" if part == "time" else TRACK_UNITS[part]
             cells = _AXES if len(column.shape) == 2 else ()
-            columns.append(_stored(part, column, unit, "<i8" if unit == "ns" else "<f8", cells))
+            columns.append(_stored_column(part, column, unit, "<i8" if unit == "ns" else "<f8", cells))
         about = {"name": name, "frame": "box", "columns": list(stored)}
         yield ExportTable(name, len(track.time), tuple(columns), about)
 
@@ -220,9 +222,9 @@ def _fused_content(request: ExportRequest) -> Iterator[Content]:
         head |= {name: attributes.get(name, "") for name in ("epoch", "technique", "log", "calibration", "software")}
         listed = sorted(columns.items(), key=lambda item: (item[0] != "time", item[0]))
         fused = tuple(
-            _stored(name, column, "ns", "<i8")
+            _stored_column(name, column, "ns", "<i8")
             if name == "time"
-            else _stored(name, column, fused_file.UNITS.get(name, "1"), cells=_cells(column))
+            else _stored_column(name, column, fused_file.UNITS.get(name, "1"), cells=_cells(column))
             for name, column in listed
         )
         table = ExportTable("fused", fused_file.rows_of(columns), fused, {"name": "fused", "frame": "box"})

@@ -99,7 +99,7 @@ class _ChannelMessages(NamedTuple):
             anywhere[starts[places]] = messages
 
 
-def _ordered(time_ns: Times, parts: Sequence[_EqualMessages]) -> _ChannelMessages:
+def _sort_messages(time_ns: Times, parts: Sequence[_EqualMessages]) -> _ChannelMessages:
     """Return the messages of rows at times (n,), sorted by time, even if the rows are not."""
     if (np.diff(time_ns) < 0).any():
         order = np.argsort(time_ns, kind="stable")
@@ -252,8 +252,8 @@ def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[
         if (np.diff(time_ns) < 0).any():
             order = np.argsort(time_ns, kind="stable")
             time_ns, texts = time_ns[order], texts[order]
-        messages = _with_heads(texts, channel, sequence & 0xFFFF_FFFF, time_ns)
-        yield _ordered(time_ns, [_EqualMessages(np.arange(len(time_ns)), messages)])
+        messages = _add_heads(texts, channel, sequence & 0xFFFF_FFFF, time_ns)
+        yield _sort_messages(time_ns, [_EqualMessages(np.arange(len(time_ns)), messages)])
 
 
 def _frame(content: Content) -> str:
@@ -283,10 +283,10 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
         parts = []
         for present, selection in patterns(finite):
             form = _form(message, columns, present.tolist())
-            whole = _filled(form, time_ns[selection], [cell[selection] for cell in cells], texts_of)
+            whole = _fill_form(form, time_ns[selection], [cell[selection] for cell in cells], texts_of)
             messages = _put_heads(whole, channel, sequence[selection], time_ns[selection])
             parts.append(_EqualMessages(np.arange(len(time_ns))[selection], messages))
-        yield _ordered(time_ns, parts)
+        yield _sort_messages(time_ns, parts)
         meter.add(rows.stop - rows.start, len(table.columns))
 
 
@@ -312,7 +312,7 @@ def _form(
     return [*form, text[end:].encode()]
 
 
-def _filled(
+def _fill_form(
     form: Sequence[bytes | int],
     time_ns: Times,
     columns: Sequence[npt.NDArray[Any]],
@@ -413,7 +413,7 @@ class _NumberTexts:
         return np.searchsorted(self._known, bits)
 
 
-def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
+def _add_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
     """Return (n,) equally long messages (n, l), each with its head."""
     room = np.empty((len(texts), MESSAGE_HEAD.itemsize), np.uint8)
     return _put_heads(np.concatenate([room, texts], axis=1), channel, sequence, time_ns)
@@ -452,8 +452,8 @@ def _entries(
     for number, entry in enumerate(entries):
         data = encode(int(time_ns[number]), entry.level, entry.name, entry.text)
         text, place = np.frombuffer(data, np.uint8), np.array([number])
-        parts.append(_EqualMessages(place, _with_heads(text[None], channel, place, time_ns[number : number + 1])))
-    yield _ordered(time_ns, parts)
+        parts.append(_EqualMessages(place, _add_heads(text[None], channel, place, time_ns[number : number + 1])))
+    yield _sort_messages(time_ns, parts)
 
 
 def _events(content: Content) -> list[_Entry]:

@@ -61,15 +61,15 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
     """Return the IMUs of a source, and the number of rows of each sensor."""
     if request.source.is_file() and is_fused(request.source):
-        return _of_fused(request, progress)
-    result = _stored(request) if request.source.suffix == ".json" else _characterised(request, progress)
+        return _read_fused(request, progress)
+    result = _read_result(request) if request.source.suffix == ".json" else _characterise(request, progress)
     try:
         return imus_of(result), {sensor["name"]: int(sensor["rows"]) for sensor in result["sensors"]}
     except (KeyError, TypeError, AttributeError, ValueError):
         raise ExportError(f"{request.source}: not a result of `imuarray characterise`") from None
 
 
-def _stored(request: ExportRequest) -> Mapping[str, Any]:
+def _read_result(request: ExportRequest) -> Mapping[str, Any]:
     """Return the result that `characterise` wrote, reduced to the requested sensors."""
     if request.calibration is not None:
         raise ExportError(
@@ -92,7 +92,7 @@ def _stored(request: ExportRequest) -> Mapping[str, Any]:
     return {**result, "sensors": sensors}
 
 
-def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
+def _characterise(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
     with open_log(request.source) as log:
         inertial = [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)]
         names = [log[name].name for name in request.sensors] or inertial
@@ -108,7 +108,7 @@ def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, A
         )
 
 
-def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
+def _read_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
     """Return the noise of a fused result at rest as one IMU; ExportError if it moves or is too short."""
     path = request.source
     if request.sensors or request.calibration is not None:
@@ -122,7 +122,7 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
     for number, (quantity, triad) in enumerate(values.items(), start=1):
         run = _longest_run(time, np.isfinite(triad).all(axis=1) & ~moving)
         interval_s = _interval_s(time[run])
-        if (noise := _fitted(triad[run], interval_s)) is not None:
+        if (noise := _fit(triad[run], interval_s)) is not None:
             triads[quantity] = noise
             count = run.stop - run.start
             rates.append(1 / interval_s)
@@ -174,7 +174,7 @@ def _interval_s(time: Times) -> float:
     return (int(time[-1]) - int(time[0])) * 1e-9 / (len(time) - 1) if len(time) > 1 else float("nan")
 
 
-def _fitted(values: Floats, interval_s: float) -> TriadNoise | None:
+def _fit(values: Floats, interval_s: float) -> TriadNoise | None:
     """Return the noise of (n, 3) values in SI; None for fewer than 9 rows."""
     if len(values) < 9:
         return None

@@ -110,7 +110,7 @@ class Topic(NamedTuple):
             cells = {column.name: np.asarray(column.read(part), float) for column in self.columns}
             numbers = self.numbers({name: values.reshape(len(time_ns), -1) for name, values in cells.items()})
             has_values = ~np.isnan(numbers[:, 0])
-            yield time_ns[has_values], _stamped(time_ns[has_values], numbers[has_values])
+            yield time_ns[has_values], _add_headers(time_ns[has_values], numbers[has_values])
             meter.add(part.stop - part.start, len(self.columns))
 
 
@@ -203,7 +203,7 @@ def _check(time_ns: int) -> None:
         raise ExportError(f"a row of {time_ns} ns since 1970; ROS 2 has times from 1970 to 2038-01-19")
 
 
-def _stamped(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
+def _add_headers(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
     """Return messages (n, bytes) with a std_msgs/Header: times (n,) ns since 1970, followed by numbers (n, k)."""
     for extreme in (time_ns.min(initial=0), time_ns.max(initial=0)):
         _check(int(extreme))

@@ -334,7 +334,7 @@ def align(
         for place, (unit, block) in enumerate(zip(units, rows, strict=True))
     ]
     columns, valid, stale, late_s = readings  # one row per axis, which is fastest in numpy
-    each_valid, delay_noise, clipped = _by_axis(valid), None, None
+    each_valid, delay_noise, clipped = _repeat_axes(valid), None, None
     if late_s.any():
         mean = consensus(columns.T, each_valid, directions, units[0].known.quantity)
         slopes = derivatives(grid, mean, gap_ns=_GAP_PERIODS * period_ns)
@@ -343,11 +343,11 @@ def align(
     if any(part is not None for part in ends):
         nowhere = np.zeros((len(grid), 3), np.int8)
         clipped = np.concatenate([nowhere if part is None else part for part in ends], axis=1)
-    each_stale = _by_axis(stale) if stale.any() else None
+    each_stale = _repeat_axes(stale) if stale.any() else None
     return Frames(grid, columns.T, each_valid, clipped, each_stale, delay_noise=delay_noise)
 
 
-def _by_axis(sensors: Booleans) -> Booleans:
+def _repeat_axes(sensors: Booleans) -> Booleans:
     """Repeat flags (s, n) of sensors for each of their axes: (n, 3 s)."""
     first = bool(sensors.flat[0]) if sensors.size else False
     if (sensors == first).all():  # the usual case
@@ -358,7 +358,7 @@ def _by_axis(sensors: Booleans) -> Booleans:
 def _set_on_grid(
     unit: AlignedSensor, block: Block | None, grid: Times, period_ns: float, into: Readings
 ) -> npt.NDArray[np.int8] | None:
-    """Set the readings of one sensor nearest to each grid time, within half a frame; return `_clipped`."""
+    """Set the readings of one sensor nearest to each grid time, within half a frame; return `_find_clipped`."""
     if block is None or len(block.time) == 0:
         for part in into:
             part[...] = 0
@@ -391,7 +391,7 @@ def _set_on_grid(
     into.stale[:] = (status & STALE) != 0
     np.multiply(late_ns, 1e-9, out=into.late_s)
     _keep_in_nearest_frames(into, grid)
-    return _clipped(unit, counts, status)
+    return _find_clipped(unit, counts, status)
 
 
 def _keep_in_nearest_frames(readings: Readings, grid: Times) -> None:
@@ -414,7 +414,7 @@ def _bias(unit: AlignedSensor, time: Times) -> Floats:
     return np.where(np.isfinite(degc)[:, None], unit.known.bias_at(np.nan_to_num(degc)), unit.known.bias_lsb)
 
 
-def _clipped(
+def _find_clipped(
     unit: AlignedSensor, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]
 ) -> npt.NDArray[np.int8] | None:
     """Return the end of the range (n, 3), +1 or -1, of the clipped axes of triads flagged as saturated, 0 elsewhere;

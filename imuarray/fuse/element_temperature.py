@@ -59,7 +59,7 @@ def element_temperatures(
     sensors = list(sensors)
     slopes = {sensor.name: slopes_of(calibration, sensor) for sensor in sensors}
     return {
-        sensor.name: thermometer if (thermal := slopes[sensor.name]) is None else _after_lag(thermometer, thermal)
+        sensor.name: thermometer if (thermal := slopes[sensor.name]) is None else _apply_lag(thermometer, thermal)
         for sensor, thermometer in _thermometers(log, [s for s in sensors if of_all or slopes[s.name] is not None])
         if is_compatible(thermometer.kind, slopes[sensor.name])
     }
@@ -82,7 +82,7 @@ def is_compatible(kind: str, thermal: Thermal | None) -> bool:
     return (kind == "relative") == (thermal is not None and thermal.thermometer == "relative")
 
 
-def _after_lag(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeries:
+def _apply_lag(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeries:
     """Return the temperature after the lag of the slopes, if that is significant."""
     lag_s = thermal.significant_lag_s
     if lag_s == 0:
@@ -301,9 +301,9 @@ class CausalThermometer:
         late = trend * self._lags[column]
         remaining = np.exp(-since / self._lags[column])
         going = (degc - late)[whole] + trend[whole] * since + (lagged - degc + late)[whole] * remaining
-        return np.where(last >= 0, going, self._at_first(known_s))
+        return np.where(last >= 0, going, self._first_mean(known_s))
 
-    def _at_first(self, time_s: Floats) -> Floats:
+    def _first_mean(self, time_s: Floats) -> Floats:
         """Return the mean of the rows so far; before the first row, the first row."""
         means = np.cumsum(self._first_degc) / np.arange(1, len(self._first_degc) + 1)
         return np.asarray(means[np.maximum(np.searchsorted(self._first_s, time_s, "right") - 1, 0)])

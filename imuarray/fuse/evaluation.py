@@ -330,7 +330,9 @@ class MotionSpool:
     """
 
     def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
-        self._time, self._truth = (RowSpool(k, _named(path, name), mode) for name, k in (("time", 1), ("truth", 3)))
+        self._time, self._truth = (
+            RowSpool(k, _column_path(path, name), mode) for name, k in (("time", 1), ("truth", 3))
+        )
 
     def append(self, time: npt.NDArray[np.int64], truth: Floats) -> None:
         """Add more frames."""
@@ -373,7 +375,7 @@ class ErrorFrameSpool:
     def __init__(self, path: Path | None = None, mode: str = "w+b", *, motion: MotionSpool | None = None) -> None:
         self._path, self._is_own = path, motion is None
         self.motion = MotionSpool(path, mode) if motion is None else motion
-        self.errors, self.white = (RowSpool(3, _named(path, name), mode) for name in ("errors", "white"))
+        self.errors, self.white = (RowSpool(3, _column_path(path, name), mode) for name in ("errors", "white"))
 
     def add(
         self, frames: ErrorFrames, first: ErrorFrameSpool | None = None, its_frames: MotionErrors | None = None
@@ -423,7 +425,7 @@ class ErrorFrameSpool:
             self.motion.close()
 
 
-def _named(path: Path | None, name: str) -> Path | None:
+def _column_path(path: Path | None, name: str) -> Path | None:
     """Return the file of a column, whose name begins with a path; None without one."""
     return None if path is None else path.with_name(f"{path.name}.{name}")
 

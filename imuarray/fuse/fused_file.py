@@ -116,7 +116,7 @@ def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], d
     """Open a fused file: the texts of its head, and its columns by name, `time` first, with the types and shapes of the
     format. LogError for another, damaged or hostile file.
     """
-    with _opened(Path(path)) as file:
+    with _open(Path(path)) as file:
         try:
             with h5py.File(UnclosedFile(Path(path)), "r") as inspected:
                 refuse_hostile(file, inspected, str(path))
@@ -127,13 +127,13 @@ def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], d
                 raise LogError(f"{path}: not a fused result")
             if version != FORMAT_VERSION:
                 raise LogError(f"{path}: format_version is {version!s:.20}; this software reads {FORMAT_VERSION}")
-            columns = _checked(group, str(path))
+            columns = _check_columns(group, str(path))
         except DAMAGE as error:
             raise LogError(f"{path}: damaged or malformed: {printable(' '.join(str(error).split()))}") from None
         yield head, columns
 
 
-def _opened(path: Path) -> h5py.File:
+def _open(path: Path) -> h5py.File:
     """Open the file, also while it is being written or after an interrupted write; LogError."""
     if not path.is_file() or not is_marked_open(path):
         return open_file(path)
@@ -143,7 +143,7 @@ def _opened(path: Path) -> h5py.File:
         raise LogError(f"{path}: was not closed and is damaged") from None
 
 
-def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
+def _check_columns(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
     """Return the columns of a fused file, checked against the format; LogError."""
     formats: dict[str, tuple[str, int]] = {"time": ("i", 0)}
     for quantity in INERTIAL:
@@ -236,7 +236,7 @@ class StoredEvents:
     def append(self, event: FaultEvent | FusedEvent) -> None:
         """Append an event. OSError."""
         texts = (event.sensor, event.kind, event.state, event.sentence)
-        shortened = [_shortened(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
+        shortened = [_shorten(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
         for name, value in zip(("time", *_TEXTS), (event.time_ns, *shortened), strict=True):
             column = self._group[name]
             column.resize(column.shape[0] + 1, axis=0)
@@ -265,7 +265,7 @@ def _column(column: h5py.Dataset) -> list[Any]:
     return read_texts(column)
 
 
-def _shortened(text: str, length: int) -> bytes:
+def _shorten(text: str, length: int) -> bytes:
     """Return the first bytes of a text, without a partial character."""
     return text.encode()[:length].decode(errors="ignore").encode()
 
@@ -340,7 +340,7 @@ def write_fused(
     with whole_file(path, force=force) as draft, h5py.File(draft, "w", rdcc_nbytes=_NO_CACHE) as file:
         fused = _FusedColumns(file, draft, origin, sensors)
         frames = 0
-        for block in _in_chunks(blocks, progress):
+        for block in _regroup(blocks, progress):
             fused.append(block)
             frames += len(block.time)
         for event in events:
@@ -348,7 +348,7 @@ def write_fused(
     return frames
 
 
-def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
+def _regroup(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
     """Yield the frames in blocks of `_AT_ONCE`, except the last; `progress` is called with their number so far."""
     waiting: list[FusedBlock] = []
     count = total = 0

@@ -96,7 +96,7 @@ def prepare_inputs(
     ...     blocks = list(fuse(log, inputs.calibration, "planes", only=inputs.only))
     """
     uncalibrated = [sensor.name for sensor in _inertial(log, only) if sensor.name not in calibration.sensors]
-    calibration, start_up, names = _in_start_states(log, calibration, only, ranges)
+    calibration, start_up, names = _apply_start_states(log, calibration, only, ranges)
     sensors = _inertial(log, names)
     sloped = [sensor for sensor in sensors if slopes_of(calibration, sensor) is not None]
     warm = element_temperatures(log, sloped, calibration)
@@ -137,7 +137,7 @@ def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
     """
     gyroscopes = [sensor for sensor in _inertial(log, inputs.only) if sensor.quantity == "angular_rate"]
     if any(inputs.calibration.or_nominal(sensor).uncertain_axes() for sensor in gyroscopes):
-        inputs = _with_columns(log, inputs)
+        inputs = _add_columns(log, inputs)
     calibration = with_response_change(log, inputs.calibration, inputs.only)
     remarks = [
         f"responses of {listed(names)} differ by {100 * change:.1f} % rms from the calibration; covariances include it"
@@ -162,7 +162,7 @@ def _large_changes(calibration: Calibration, before: Calibration) -> dict[float,
     return names
 
 
-def _with_columns(log: Log, inputs: FusionInputs) -> FusionInputs:
+def _add_columns(log: Log, inputs: FusionInputs) -> FusionInputs:
     """Return the inputs with columns of responses that the log determines, and remarks on these."""
     from imuarray.calibrate.response_transfer import transfer_response  # slow to import
 
@@ -196,7 +196,7 @@ def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str
         )
 
 
-def _in_start_states(
+def _apply_start_states(
     log: Log, calibration: Calibration, only: Sequence[str], ranges: Mapping[str, Mapping[float, float]]
 ) -> tuple[Calibration, list[str], Sequence[str]]:
     """Return the calibration with the biases of the states in which sensors started, sentences on these, and the
@@ -293,7 +293,7 @@ def fuse(  # noqa: PLR0913
     (['angular_rate', 'specific_force'], 3)
     """
     sensors_of_log = list(log.sensors.values())
-    by_quantity = _by_quantity(sensors_of_log, only, str(log.path))
+    by_quantity = _group_by_quantity(sensors_of_log, only, str(log.path))
     if not causal:
         calibration = with_response_change(log, calibration, only)
     if not causal and technique != OPTIMAL:  # `optimal` follows the temperature itself
@@ -307,7 +307,7 @@ def fuse(  # noqa: PLR0913
             element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
         )
     if array.is_optimal and not causal:
-        yield from _smoothed(log, array, temperatures, _Callbacks(notes, average, progress), block)
+        yield from _smooth(log, array, temperatures, _Callbacks(notes, average, progress), block)
         return
     stream = array.stream(array.factory(temperatures), temperatures)
     yield from _replay(log, stream, block, progress)
@@ -325,7 +325,7 @@ def fuse_together(
     """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`), each as by `fuse`; frames are
     aligned once. Returns blocks by the name of the technique. FusionError.
     """
-    by_quantity = _by_quantity(list(log.sensors.values()), only, str(log.path))
+    by_quantity = _group_by_quantity(list(log.sensors.values()), only, str(log.path))
     calibration = with_response_change(log, calibration, only)
     inertial = [sensor for sensors in by_quantity.values() for sensor in sensors]
     calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
@@ -348,7 +348,7 @@ def live(
     FusionError if the sensors are not sufficient for the technique.
     """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # the order in a log
-    array = _Array(_by_quantity(sensors, only, "the array"), calibration, technique, watch)
+    array = _Array(_group_by_quantity(sensors, only, "the array"), calibration, technique, watch)
     temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
     factory = array.factory(temperatures)
     factory(1.0)  # raises before anything is read
@@ -362,7 +362,9 @@ def aligned(log: Log, calibration: Calibration, *, only: Collection[str] = ()) -
     sensor. FusionError if the log has no inertial sensors or too few rows, or if the calibration has none of its
     sensors.
     """
-    array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
+    array = _Array(
+        _group_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False)
+    )
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True))
     return _replay(log, array.stream(lambda period_s: FramePipeline(), temperatures), BLOCK)
 
@@ -434,7 +436,7 @@ class _Callbacks(NamedTuple):
     progress: Progress
 
 
-def _smoothed(
+def _smooth(
     log: Log, array: _Array[SensorLog], temperatures: TemperatureSources, callbacks: _Callbacks, block: int
 ) -> Iterator[FusedBlock]:
     """Estimate every frame from the whole log. Rows are aligned once, and their frames are processed twice."""
@@ -485,7 +487,7 @@ def _period_s(array: _Array[SensorLog]) -> float:
     return choose_grid(first, groups, [sensor.where for sensor in array.inertial]).period_ns * 1e-9
 
 
-def _by_quantity(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> dict[str, list[_Sensor]]:
+def _group_by_quantity(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> dict[str, list[_Sensor]]:
     """Return the inertial sensors to fuse, by quantity; FusionError if there are none."""
     by_quantity: dict[str, list[_Sensor]] = {
         quantity: [s for s in sensors if s.quantity == quantity and (not only or s.name in only)]

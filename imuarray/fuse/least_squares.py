@@ -160,7 +160,7 @@ def weighted(values: Floats, weights: Floats, noise: AxisNoise, slow: SlowErrors
     `noise` and the `slow` errors of the axes.
     """
     used = weights > 0
-    triad, gains, solvable = _solved(values, weights, noise.rows)
+    triad, gains, solvable = _solve(values, weights, noise.rows)
     covariance = noise.covariance(gains, used[: len(gains)])
     if not solvable.all():
         covariance = np.where(solvable[:, None], covariance, np.nan)
@@ -179,10 +179,10 @@ def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
     """Solve ``values = rows @ truth_box`` by weighted least squares for each frame: (n, 3), NaN where the axes do not
     span space.
     """
-    return _solved(values, weights, rows)[0]
+    return _solve(values, weights, rows)[0]
 
 
-def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+def _solve(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Solve as `solve_frames`; return also the gains and whether the axes span space, of every frame, or once if all
     frames have the same weights.
     """
@@ -276,11 +276,11 @@ def _consensus_of(values: Floats, valid: Booleans, rows: Floats, tolerated: floa
     for start in range(0, len(values), at_once):
         part = slice(start, start + at_once)
         columns, sound = np.ascontiguousarray(values[part].T), np.ascontiguousarray(valid[part].T)
-        mean[:, part] = _agreed(columns, sound, rows, tolerated)
+        mean[:, part] = _robust_mean(columns, sound, rows, tolerated)
     return mean.T
 
 
-def _agreed(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> Floats:
+def _robust_mean(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> Floats:
     """Return the `consensus` (3, n) of a few frames (m, n); one row per axis is fastest in numpy."""
     mean = _mean(values, valid, rows)
     doubtful: Booleans = (np.abs(values - rows @ mean) > tolerated / 2) & valid
@@ -290,11 +290,11 @@ def _agreed(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> 
     checked: Booleans = np.asarray(whole.sum(axis=0) > 2)  # two sensors don't show which one is wrong
     some = np.flatnonzero(doubtful.any(axis=0) & checked)
     if len(some):
-        mean[:, some] = _limited(values[:, some], valid[:, some], whole[:, some], rows, tolerated)
+        mean[:, some] = _limit_differences(values[:, some], valid[:, some], whole[:, some], rows, tolerated)
     return mean
 
 
-def _limited(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tolerated: float) -> Floats:
+def _limit_differences(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tolerated: float) -> Floats:
     """Return the mean (3, n) of the readings with the differences of sensors from their median limited."""
     inverse = np.zeros((len(rows), len(rows)))  # block diagonal of all sensors' inverses: one product for all of them
     for first, own in zip(range(0, len(rows), 3), np.linalg.inv(rows.reshape(-1, 3, 3)), strict=True):

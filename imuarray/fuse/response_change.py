@@ -130,7 +130,7 @@ def _estimate_change(sensors: Sequence[Calibrated], stretches: Sequence[_Windows
     if sum(len(each.parities) for each in windows) < _FEWEST:
         return None
     parities, stimulus, slopes = (np.concatenate(columns) for columns in zip(*windows, strict=True))
-    excited = _excited(stimulus, geometry.stimulus_covariance * np.mean(_noise_of(parities) ** 2))
+    excited = _excited_directions(stimulus, geometry.stimulus_covariance * np.mean(_noise_of(parities) ** 2))
     directions = excited.shape[1]
     if not directions:
         return None
@@ -269,7 +269,7 @@ def _noise_of(parities: Floats) -> Floats:
     return np.asarray(np.sqrt(np.median(np.diff(parities, 2, axis=0) ** 2, axis=0) / MEDIAN_SQUARE / 6))
 
 
-def _excited(stimulus: Floats, noise_covariance: Floats) -> Floats:
+def _excited_directions(stimulus: Floats, noise_covariance: Floats) -> Floats:
     """Return the directions (3, k) along which the stimulus (n, 3) varies more than `_EXCITED` times its noise."""
     white = np.linalg.inv(np.linalg.cholesky(noise_covariance))
     sizes, directions = np.linalg.eigh(white @ (stimulus.T @ stimulus / len(stimulus)) @ white.T)

@@ -75,7 +75,7 @@ class AxisOffsets:
     def __call__(self, frames: Frames) -> Frames:
         """Return the next block, with offsets in frames that lack a reading if the recent frames determine them."""
         every = frames.valid.all()  # by far faster than frame by frame
-        lacking = np.zeros(0, int) if every else np.flatnonzero(~frames.valid.all(axis=1) & ~_clipped(frames))
+        lacking = np.zeros(0, int) if every else np.flatnonzero(~frames.valid.all(axis=1) & ~_are_clipped(frames))
         if not len(lacking):
             self.observe(frames)
             return frames
@@ -86,11 +86,11 @@ class AxisOffsets:
         for start in range(0, len(lacking), _AT_ONCE):
             some = lacking[start : start + _AT_ONCE]
             windows = some[:, None] + before + np.arange(RECENT)
-            offsets[some], averaged[some] = self._of(values[windows], valid[windows], frames.valid[some])
+            offsets[some], averaged[some] = self._recent_offsets(values[windows], valid[windows], frames.valid[some])
         self.observe(frames)
         return replace(frames, offsets=offsets, averaged=averaged) if averaged.any() else frames
 
-    def _of(self, values: Floats, valid: Booleans, now: Booleans) -> tuple[Floats, npt.NDArray[np.int16]]:
+    def _recent_offsets(self, values: Floats, valid: Booleans, now: Booleans) -> tuple[Floats, npt.NDArray[np.int16]]:
         """Return the offsets (n, m) of n frames from the windows (n, RECENT, m) before them, and over how many frames
         they are averages (n,); `now` (n, m) are the axes that are valid in the frames themselves.
         """
@@ -113,7 +113,7 @@ class AxisOffsets:
         return offsets, averaged
 
 
-def _clipped(frames: Frames) -> Booleans:
+def _are_clipped(frames: Frames) -> Booleans:
     """Return (n,) whether an axis is at an end of its range."""
     if frames.clipped is None:
         return np.zeros(len(frames.time), bool)

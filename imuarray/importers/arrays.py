@@ -39,14 +39,14 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
         first = file.read(len(_MATLAB73))
     try:
         if first.startswith(b"PK"):
-            arrays = dict(_of_npz(path))
+            arrays = dict(_read_npz(path))
         elif first.startswith(npy.MAGIC_PREFIX):
             with path.open("rb") as file:
-                arrays = dict(_of_npy("", file, path.stat().st_size))
+                arrays = dict(_read_npy("", file, path.stat().st_size))
         elif first.startswith((b"\x89HDF", _MATLAB73)):
-            arrays = dict(_of_hdf5(path))
+            arrays = dict(_read_hdf5(path))
         else:
-            arrays = dict(_of_mat(path))
+            arrays = dict(_read_mat(path))
     except (
         ValueError,
         TypeError,
@@ -68,7 +68,7 @@ class ArrayRows:
     def __init__(self, path: Path, arrays: Mapping[str, Array], progress: Callable[[int], None]) -> None:
         self._path, self._progress = path, progress
         self.remarks: list[str] = []
-        tables = [(name, _upright(array)) for name, array in arrays.items()]
+        tables = [(name, _stand_upright(array)) for name, array in arrays.items()]
         self._columns: dict[str, Array] = {}
         for name, array in tables:
             if array.ndim == 1:
@@ -118,7 +118,7 @@ class ArrayRows:
         self._progress(self._path.stat().st_size)
 
 
-def _upright(array: Array) -> Array:
+def _stand_upright(array: Array) -> Array:
     """Return the array with rows along the first dimension: it has more rows than columns."""
     if array.ndim == 2 and array.shape[0] < array.shape[1] and array.shape[0] <= MOST_COLUMNS:
         array = array.T
@@ -132,7 +132,7 @@ def _is_column(array: Any) -> bool:
     return array.size > 1 and (len(array.shape) == 1 or (len(array.shape) == 2 and min(array.shape) <= MOST_COLUMNS))
 
 
-def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
+def _read_npz(path: Path) -> Iterator[tuple[str, Array]]:
     """Yield every array of numbers, and every field of a structured one."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
@@ -143,10 +143,10 @@ def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
             raise ValueError("a zip file without arrays of NumPy; unpack it, or save a spreadsheet as CSV")
         for member in arrays:
             with archive.open(member) as file:
-                yield from _of_npy(member.filename.removesuffix(".npy"), file, member.file_size)
+                yield from _read_npy(member.filename.removesuffix(".npy"), file, member.file_size)
 
 
-def _of_npy(name: str, file: IO[bytes], size: int) -> Iterator[tuple[str, Array]]:
+def _read_npy(name: str, file: IO[bytes], size: int) -> Iterator[tuple[str, Array]]:
     """Yield an array of numbers, or every field of a structured one; `name` is "" if it is alone in its file.
 
     ValueError if the header states an array that is larger than the file of `size` bytes: no memory is reserved for it.
@@ -165,7 +165,7 @@ def _of_npy(name: str, file: IO[bytes], size: int) -> Iterator[tuple[str, Array]
         yield name or "data", array
 
 
-def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
+def _read_mat(path: Path) -> Iterator[tuple[str, Array]]:
     """Yield every array of a MATLAB file of version 5, including those in structs."""
     from scipy.io import loadmat
 
@@ -179,7 +179,7 @@ def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
     yield from inside("", loadmat(path, simplify_cells=True))
 
 
-def _of_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
+def _read_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
     """Yield every array of an HDF5 file as it is stored; MATLAB 7.3 files store dimensions in reverse order."""
     with h5py.File(path, "r") as file:
         arrays: dict[str, Array] = {}

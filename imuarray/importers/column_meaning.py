@@ -110,7 +110,7 @@ def kind_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> int | No
     return None
 
 
-def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
+def _drop_padding(columns: Sequence[Floats]) -> list[Floats]:
     """Remove the rows of zeros at the end, which a program reserved and did not fill."""
     if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
         return list(columns)
@@ -130,7 +130,7 @@ def propose_columns(
     proposal = Proposal(layout, units=units)
     if names and any(names.count(name) > 1 for name in names):
         proposal.doubts.append("some columns have the same name; they are selected by their indices")
-    columns = _without_padding(columns)
+    columns = _drop_padding(columns)
     time = time_index(names, columns, dates)
     if time is not None and time not in dates:
         timed = np.isfinite(columns[time])
@@ -138,12 +138,12 @@ def propose_columns(
     taken = set() if time is None else {time}
     if not names:
         taken |= {index for index, values in enumerate(columns) if is_clock(values)}
-    for quaternion in _attitudes(names, columns):
+    for quaternion in _find_attitudes(names, columns):
         proposal.attitudes.append([column_label(names, index) for index in quaternion])
         quaternion_columns = ", ".join(proposal.attitudes[-1])
         proposal.doubts.append(f"left out: {quaternion_columns}: {QUATERNION}")
         taken |= set(quaternion)
-    triads = _with_quantity(list(_triads(names, columns, taken, stem, units)), names, columns, proposal)
+    triads = _choose_triads(list(_find_triads(names, columns, taken, stem, units)), names, columns, proposal)
     triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append(rate_line(proposal))
@@ -174,7 +174,7 @@ def propose_columns(
         for item in proposal.items[known:]:
             add_own_time(item, names, columns, index, (time, dates), proposal)
     triad_columns = {index for _, indices in triads for index in indices}
-    proposal.doubts += _incomplete_triads(names[: len(columns)], taken | triad_columns)
+    proposal.doubts += _find_incomplete(names[: len(columns)], taken | triad_columns)
     return proposal
 
 
@@ -195,7 +195,7 @@ _AXIS = re.compile(r"(?<![A-Za-z])[A-Za-z]?[xyz](?![A-Za-z])|(?<![A-Z])[XYZ](?![
 """An axis letter in a column's name, with or without a quantity's letter before it: gx_dps, acc_x, AccX."""
 
 
-def _incomplete_triads(names: Sequence[str], taken: set[int]) -> Iterator[str]:
+def _find_incomplete(names: Sequence[str], taken: set[int]) -> Iterator[str]:
     """Yield a doubt for each quantity with columns of only one or two axes."""
     axes: dict[str, dict[str, str]] = {}
     for index, name in enumerate(names):
@@ -230,7 +230,7 @@ def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force
     return "m/s2" if item.text("unit") == "m/s2" else force_unit
 
 
-def _triads(
+def _find_triads(
     names: Sequence[str],
     columns: Sequence[Floats],
     taken: set[int],
@@ -244,13 +244,13 @@ def _triads(
         if stem_quantity and 3 <= len(free) <= _MOST_OF_ONE_SENSOR:
             yield stem_quantity, (free[0], free[1], free[2])
         else:
-            yield from _nameless(columns, free)
+            yield from _find_nameless_triads(columns, free)
         return
     used: set[int] = set()
     for prefix in dict.fromkeys(match[1] for name in names if (match := _PART.fullmatch(name))):
         parts = [index for index, name in enumerate(names) if (match := _PART.fullmatch(name)) and match[1] == prefix]
         if len(parts) > _TRIAD_AND_TIME:
-            yield from _nameless(columns, [index for index in parts if index not in taken])
+            yield from _find_nameless_triads(columns, [index for index in parts if index not in taken])
             used.update(parts)
     for index, name in enumerate(names[:-2]):
         if names[index + 1 : index + 3] == ["1", "2"]:
@@ -284,7 +284,7 @@ def _triads(
                 yield _QUANTITY_OF_UNIT.get(unit_of[index], quantity_of(called)), indices
 
 
-def _attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tuple[int, int, int, int]]:
+def _find_attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tuple[int, int, int, int]]:
     """Yield the columns of each unit quaternion, w first, by names that differ in w, x, y, z or in 0 to 3."""
     used: set[int] = set()
     for letters in ("wxyz", "WXYZ", "0123"):
@@ -299,7 +299,7 @@ def _attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tupl
                     yield w, x, y, z
 
 
-def _with_gravity_again(
+def _add_gravity_again(
     triads: list[NamedTriad], names: Sequence[str], columns: Sequence[Floats], proposal: Proposal
 ) -> list[NamedTriad]:
     """Return the triads with gravity and the acceleration without gravity combined into one, if the table has no
@@ -327,7 +327,7 @@ _GRAVITY = re.compile("grav", re.IGNORECASE)
 _FREE = re.compile("user|lin|free", re.IGNORECASE)
 
 
-def _with_quantity(
+def _choose_triads(
     triads: list[NamedTriad], names: Sequence[str], columns: Sequence[Floats], proposal: Proposal
 ) -> list[NamedTriad]:
     """Return the triads of known quantity; if no quantity is known, all triads are assumed to be specific forces."""
@@ -355,7 +355,7 @@ def _with_quantity(
         proposal.doubts.append(
             "columns that are called 1 and 2 do not say which axes they hold: GoPro writes z, x, y, for example"
         )
-    triads = _with_gravity_again(triads, names, columns, proposal)
+    triads = _add_gravity_again(triads, names, columns, proposal)
     identified = [triad for triad in triads if triad[0]]
     if not identified:
         return [("specific_force", indices) for _, indices in triads]
@@ -375,7 +375,7 @@ _PLAIN_COLUMNS = 9
 """Largest number of columns without names that are assumed to be force, rate and field in this order."""
 
 
-def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[NamedTriad]:
+def _find_nameless_triads(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[NamedTriad]:
     """Yield the triads of columns without names: consecutive threes, or among many others those that behave like it.
     The magnitude of specific force is constant under rotation; the first triad is assumed to be a force unless the
     second one behaves like it.

@@ -73,10 +73,10 @@ def quantity_of(name: str) -> str:
 def unit_in(name: str) -> str:
     """Return the unit in a column's name; "" without one."""
     texts = [match[1] or match[2] or "" for match in _UNIT_IN_NAME.finditer(name)]
-    return next((unit for unit in map(_spelt_as_usual, texts) if unit and not unit.isdigit()), "")
+    return next((unit for unit in map(_spell_as_usual, texts) if unit and not unit.isdigit()), "")
 
 
-def _spelt_as_usual(unit: str) -> str:
+def _spell_as_usual(unit: str) -> str:
     if known := SPELLINGS.get(unit.lower()):
         return known
     spelt = (standard_unit(spelling, quantity) for quantity in UNITS_OF for spelling in (unit, unit.lower()))

@@ -50,7 +50,7 @@ def import_file(
         file.seek(0)
         header = _header(file, path)
         head = checked_head(header, str(path))
-        files: Files = {str(header["table"]): (path, None)} if "table" in header else _listed(file, path, head)
+        files: Files = {str(header["table"]): (path, None)} if "table" in header else _read_list(file, path, head)
     reader = _Tables(files, path, output, lambda share: progress(int(size * share)))
     notes = read_notes(reader.notes("phases", CSV_PHASES, 2), reader.notes("events", CSV_EVENTS, 1), str(path))
     return write_log(head, reader.rows, notes, output, str(path), force=force)
@@ -69,7 +69,7 @@ def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
         if len(data) > MAX_HEADER_BYTES:
             raise SourceError(f"{described}: a header of more than {MAX_HEADER_BYTES} bytes")
         return parse_header(data, str(described))
-    return _commented_header(file, path)
+    return _read_comments(file, path)
 
 
 def _has_comments(file: BinaryIO) -> bool:
@@ -79,7 +79,7 @@ def _has_comments(file: BinaryIO) -> bool:
     return begin == CSV_MAGIC.encode()
 
 
-def _commented_header(file: BinaryIO, path: Path) -> dict[str, Any]:
+def _read_comments(file: BinaryIO, path: Path) -> dict[str, Any]:
     """Return the JSON of the second line and leave the file at the third; SourceError."""
     first, second = file.readline(1 << 12), file.readline(MAX_HEADER_BYTES + 1)
     if not first.startswith(CSV_MAGIC.encode()) or not first.endswith(b"\n") or not second.startswith(b"# {"):
@@ -103,7 +103,7 @@ def _texts(file: BinaryIO, path: Path, names: Sequence[str]) -> list[list[str]]:
     return rows[1:]
 
 
-def _listed(file: BinaryIO, path: Path, head: Head) -> Files:
+def _read_list(file: BinaryIO, path: Path, head: Head) -> Files:
     """Return the files of a list, which are in the same folder, one for each table of the header; SourceError."""
     files: Files = {}
     for name, table, rows in _texts(file, path, CSV_INDEX):
@@ -147,7 +147,7 @@ class _Tables:
         if not _has_comments(file):
             return file, 0
         try:
-            _commented_header(file, path)
+            _read_comments(file, path)
         except SourceError:
             file.close()
             raise

@@ -88,7 +88,7 @@ class _Arrays:
         if info.file_size > MAX_HEADER_BYTES:
             raise SourceError(f"{self._where}: a header of {info.file_size} bytes; at most {MAX_HEADER_BYTES}")
         with self._archive.open(info) as file:
-            dtype, shape = self._declared(file, NPZ_HEADER)
+            dtype, shape = self._read_declaration(file, NPZ_HEADER)
             if dtype.kind != "S" or shape != ():
                 raise SourceError(
                     f"{self._where}: its array {NPZ_HEADER!r} is not a header written by `imuarray export`"
@@ -101,7 +101,7 @@ class _Arrays:
             raise SourceError(f"{self._where}: no array {printable(name.removesuffix('.npy'))[:80]!r} in it")
         return info
 
-    def _declared(self, file: IO[bytes], name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    def _read_declaration(self, file: IO[bytes], name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
         """Return the declared type and shape of an array; SourceError."""
         try:
             version = npy.read_magic(file)
@@ -121,9 +121,9 @@ class _Arrays:
             files: dict[str, IO[bytes]] = {}
             lengths = set()
             for name, kind, tail in group.columns:
-                info = self._member(f"{self._called(group.path, name)}.npy")
+                info = self._member(f"{self._array_name(group.path, name)}.npy")
                 files[name] = stack.enter_context(self._archive.open(info))
-                lengths.add(self._checked(files[name], info, np.dtype(kind), tail))
+                lengths.add(self._check(files[name], info, np.dtype(kind), tail))
             if len(lengths) != 1:
                 raise SourceError(f"{self._where}: {group.path}: arrays of different lengths")
             (length,) = lengths
@@ -133,16 +133,16 @@ class _Arrays:
                     name: self._read(files[name], np.dtype(kind), (count, *tail)) for name, kind, tail in group.columns
                 }
 
-    def _called(self, table: str, column: str) -> str:
+    def _array_name(self, table: str, column: str) -> str:
         names = self.names.get(table) if isinstance(self.names, dict) else None
         name = names.get(column) if isinstance(names, dict) else None
         if not isinstance(name, str):
             raise SourceError(f"{self._where}: its header names no array for {column} of {table}")
         return name
 
-    def _checked(self, file: IO[bytes], info: zipfile.ZipInfo, kind: np.dtype[Any], tail: tuple[int, ...]) -> int:
+    def _check(self, file: IO[bytes], info: zipfile.ZipInfo, kind: np.dtype[Any], tail: tuple[int, ...]) -> int:
         """Return the number of rows of an array after validating its type, row shape and size; SourceError."""
-        dtype, shape = self._declared(file, info.filename)
+        dtype, shape = self._read_declaration(file, info.filename)
         if dtype != kind or shape[1:] != tail or not shape:
             declared = f"{dtype.str} {shape}"
             raise SourceError(

@@ -120,7 +120,7 @@ def _time_unit(unit: str) -> str:
     return unit
 
 
-def _spelt(spellings: dict[str, str]) -> BeforeValidator:
+def _respell(spellings: dict[str, str]) -> BeforeValidator:
     """Return a validator that replaces other spellings of a unit."""
     return BeforeValidator(lambda unit: spellings.get(unit, unit) if isinstance(unit, str) else unit)
 
@@ -173,7 +173,7 @@ class TimeTable(BaseModel):
 
     model_config = _STRICT
     column: Column | None = None
-    unit: Annotated[str, _spelt(_TIME_SPELLINGS), AfterValidator(_time_unit)] | None = None
+    unit: Annotated[str, _respell(_TIME_SPELLINGS), AfterValidator(_time_unit)] | None = None
     rate_hz: Annotated[float, Field(ge=0.001, le=1e6)] | None = None
     ticks: Positive = 1.0
     wraps_at: Positive | None = None
@@ -230,7 +230,7 @@ class ThermometerTable(BaseModel):
     """
 
     model_config = _STRICT
-    unit: Annotated[Literal["counts", "degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "counts"
+    unit: Annotated[Literal["counts", "degC", "K"], _respell(_DEGREE_SPELLINGS)] = "counts"
     zero_degc: Degrees | None = None
     lsb_per_degc: Degrees | None = None
 
@@ -320,7 +320,7 @@ class SensorTable(LogColumn):
     @model_validator(mode="before")
     @classmethod
     def _standard(cls, entries: Any) -> Any:
-        return _with_standard_unit(entries, entries.get("quantity") if isinstance(entries, dict) else None)
+        return _respell_unit(entries, entries.get("quantity") if isinstance(entries, dict) else None)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -371,7 +371,7 @@ class SensorTable(LogColumn):
         return UNITS_OF[self.quantity][self.unit]
 
 
-def _with_standard_unit(entries: Any, quantity: Any) -> Any:
+def _respell_unit(entries: Any, quantity: Any) -> Any:
     """Return the entries of a table with their unit spelt as in `imuarray.units`."""
     if isinstance(entries, dict) and isinstance(entries.get("unit"), str):
         return {**entries, "unit": standard_unit(entries["unit"], str(quantity))}
@@ -397,7 +397,7 @@ class ReferenceTemperature(BaseModel):
 
     model_config = _STRICT
     column: Column
-    unit: Annotated[Literal["degC", "K"], _spelt(_DEGREE_SPELLINGS)] = "degC"
+    unit: Annotated[Literal["degC", "K"], _respell(_DEGREE_SPELLINGS)] = "degC"
 
 
 class ReferenceTable(RowSettings):
@@ -413,7 +413,7 @@ class ReferenceTable(RowSettings):
         if not isinstance(entries, dict):
             return entries
         triads = ("specific_force", "angular_rate")
-        return {name: _with_standard_unit(value, name) if name in triads else value for name, value in entries.items()}
+        return {name: _respell_unit(value, name) if name in triads else value for name, value in entries.items()}
 
     @model_validator(mode="after")
     def _has_something(self) -> Self:

@@ -100,7 +100,7 @@ class _Cutter:
         end = int(good[-1]) + SIZE if len(good) else 0
         # A packet counts as broken only if no valid packet begins within it, which may depend on the next block.
         undecided = max(end, len(data) if last else len(data) - 2 * SIZE + 1)
-        bad = _without_overlaps(_clear_of(good, bad[(bad < undecided) & (bad >= self.counted)]))
+        bad = _drop_overlaps(_clear_of(good, bad[(bad < undecided) & (bad >= self.counted)]))
         starts = np.append(good, undecided)
         skipped = np.diff(starts, prepend=0) - np.append(0, np.full(len(good), SIZE))
         broken = np.diff(np.searchsorted(bad, starts), prepend=0)
@@ -122,10 +122,10 @@ def _find(data: npt.NDArray[np.uint8]) -> tuple[Integers, Integers]:
     sums = (total[framed + SUMMED] - total[framed]) & 0xFFFF
     stated = data[framed + SUMMED].astype(np.int64) << 8 | data[framed + SUMMED + 1]
     sound = sums == stated
-    return _without_overlaps(framed[sound]), framed[~sound]
+    return _drop_overlaps(framed[sound]), framed[~sound]
 
 
-def _without_overlaps(starts: Integers) -> Integers:
+def _drop_overlaps(starts: Integers) -> Integers:
     """Return `starts` without those within the packet of an earlier one."""
     if (np.diff(starts) >= SIZE).all():
         return starts

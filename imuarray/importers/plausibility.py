@@ -231,10 +231,10 @@ class _Sentences:
 
     def all(self) -> tuple[str, ...]:
         """Return the sentences; sensors with the same sentence share it."""
-        return tuple(f"{listed(_by_kind(names))}: {sentence}" for sentence, names in self.sentences.items())
+        return tuple(f"{listed(_group_names(names))}: {sentence}" for sentence, names in self.sentences.items())
 
 
-def _by_kind(names: Sequence[str]) -> list[str]:
+def _group_names(names: Sequence[str]) -> list[str]:
     """Return names grouped by spelling without numbers, in order of occurrence: A1, A2, G1, G2 for A1, G1, A2, G2."""
     kinds: dict[str, list[str]] = {}
     for name in names:
@@ -395,7 +395,7 @@ def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | No
             return ("measures {} g" if shaken else "measures {} g at rest", length), []
         if shaken and 1 / SHAKEN_LEVEL < length < SHAKEN_LEVEL:
             return None, []
-        guess = _explained(length, _FORCE_UNITS) or _doubled(length)
+        guess = _name_unit(length, _FORCE_UNITS) or _explain_doubling(length)
         if length < 0.3 and (not guess or float(np.median(windows.spread[still])) > length):
             unit = guess if "columns" in guess else "the unit may be wrong"
             guess = f"gravity may have been removed (linear acceleration), or {unit}"
@@ -447,14 +447,14 @@ sensor that turns hardly changes.
 """
 
 
-def _explained(ratio: float, units: Mapping[float, str], most: float = NEAR_FACTOR) -> str:
+def _name_unit(ratio: float, units: Mapping[float, str], most: float = NEAR_FACTOR) -> str:
     """Name the unit with the closest ratio, if any is close."""
     factor = min(units, key=lambda factor: abs(ln(ratio / factor))) if ratio > 0 else 1.0
     near = ratio > 0 and abs(ln(ratio / factor)) < most
     return f"the columns may be in {units[factor]}" if near else ""
 
 
-def _doubled(ratio: float) -> str:
+def _explain_doubling(ratio: float) -> str:
     """Explain a power of two: ranges of chips differ by powers of two."""
     if ratio <= 0:
         return ""
@@ -547,7 +547,7 @@ class _Codes:
         self.are_codes = sensor.attributes.get(RESOLUTION) != ASSUMED
         """False if the counts are values that the import rounded."""
         self.seen, self.repeats = histograms, tally.result()
-        self.held = _held_rows(sensor, self.repeats)
+        self.held = _find_held_rows(sensor, self.repeats)
         """Rows that repeat one reading for longer than chance or a slow chip can explain; an empty slice without
         any.
         """
@@ -568,7 +568,7 @@ class _Codes:
         if self.held.stop == 0 and self.repeats.new_share < 1 - STALE_SHARE:
             yield f"{percent(1 - self.repeats.new_share, 1)} of the rows repeat the previous row without new readings"
 
-    def _held_axes(self, sensor: SensorLog) -> Iterator[str]:
+    def _find_held_axes(self, sensor: SensorLog) -> Iterator[str]:
         """Yield the axes that stop while others of the triad change; codes at an end of the range are clipped."""
         for axis, run, codes in zip("xyz", self.runs, self.seen, strict=True):
             usual = max(run.next_longest, AXIS_HELD / OTHER_RUNS)
@@ -580,7 +580,7 @@ class _Codes:
                 others = np.delete(np.asarray(sensor.counts[rows]), "xyz".index(axis), axis=1)
                 is_coarse = max(len(np.unique(column)) for column in others.T) < OTHER_CODES
                 if code not in (int(codes.codes[0]), int(codes.codes[-1])) and not is_coarse:
-                    yield _held_axis_in_words(sensor, axis, run)
+                    yield _describe_held_axis(sensor, axis, run)
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
         """Yield sentences on impossible properties of the codes."""
@@ -594,8 +594,8 @@ class _Codes:
             )
             yield f"{constant} is always {codes}{zero}"
         if self.held.stop and not self.is_constant:
-            yield _held_in_words(sensor, self.held)
-        yield from self._held_axes(sensor)
+            yield _describe_held(sensor, self.held)
+        yield from self._find_held_axes(sensor)
         yield from find_jumps(sensor)
         limit = OVER_RANGE * sensor.range * sensor.sensitivity
         most = max(int(np.abs(codes.codes[[0, -1]]).max()) for codes in self.seen)
@@ -609,7 +609,7 @@ class _Codes:
             yield "all codes are positive on every axis: are they unsigned, with an offset?"
 
 
-def _held_rows(sensor: SensorLog, repeats: Repeats) -> slice:
+def _find_held_rows(sensor: SensorLog, repeats: Repeats) -> slice:
     """Return the longest run of equal rows if it is not due to chance: other rows seldom repeat, and the rows on either
     side change by at least a count on average, unlike those of a coarse sensor that comes to rest.
     """
@@ -626,7 +626,7 @@ def _held_rows(sensor: SensorLog, repeats: Repeats) -> slice:
     return slice(begin, end) if lively and all(lively) else no_rows
 
 
-def _held_in_words(sensor: SensorLog, held: slice) -> str:
+def _describe_held(sensor: SensorLog, held: slice) -> str:
     first_s, last_s = ((int(sensor.time[row]) - int(sensor.time[0])) * 1e-9 for row in (held.start, held.stop - 1))
     if held.stop == len(sensor):
         return (
@@ -639,7 +639,7 @@ def _held_in_words(sensor: SensorLog, held: slice) -> str:
     )
 
 
-def _held_axis_in_words(sensor: SensorLog, axis: str, run: RunTally) -> str:
+def _describe_held_axis(sensor: SensorLog, axis: str, run: RunTally) -> str:
     first_s = (int(sensor.time[run.first_row]) - int(sensor.time[0])) * 1e-9
     code = int(sensor.counts[run.first_row, "xyz".index(axis)])
     unit = f" ({code / sensor.sensitivity:.4g} {sensor.unit})" if sensor.sensitivity else ""
@@ -773,7 +773,7 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
         if factor < 0:
             yield name, "rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged"
             continue
-        guess = _explained(factor, _TURN_UNITS, NEAR_TURNS) or "range and sensitivity may be those of another setting"
+        guess = _name_unit(factor, _TURN_UNITS, NEAR_TURNS) or "range and sensitivity may be those of another setting"
         yield name, f"measures {1 / factor:.3g} times the rotation of gravity in the accelerometers: {guess}"
 
 
@@ -969,7 +969,7 @@ def _twins(log: Log) -> Iterator[tuple[str, str]]:
             if (
                 np.ptp(head[:, first])
                 and (head[:, first] == head[:, second]).all()
-                and _same(sensor, sensor, first, second)
+                and _are_same(sensor, sensor, first, second)
             ):
                 yield name, f"{'xyz'[first]} and {'xyz'[second]} have the same readings: is a column named twice?"
         for other in names[:number]:
@@ -977,13 +977,13 @@ def _twins(log: Log) -> Iterator[tuple[str, str]]:
             if (
                 same
                 and len(log[other]) == len(sensor)
-                and all(_same(sensor, log[other], axis, axis) for axis in range(3))
+                and all(_are_same(sensor, log[other], axis, axis) for axis in range(3))
             ):
                 yield name, f"has the same readings as {other}: are its columns named twice?"
                 break
 
 
-def _same(sensor: SensorLog, other: SensorLog, first: int, second: int) -> bool:
+def _are_same(sensor: SensorLog, other: SensorLog, first: int, second: int) -> bool:
     """Return whether two columns are equal in all rows."""
     return all(
         np.array_equal(np.asarray(sensor.counts[block])[:, first], np.asarray(other.counts[block])[:, second])

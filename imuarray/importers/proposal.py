@@ -459,7 +459,7 @@ def propose_sensor(
     codes: list[str] = []
     largest = _CODES_16 / 2
     if whole:
-        values, codes, largest = _signed(values)
+        values, codes, largest = _sign_codes(values)
         length = float(np.median(np.linalg.norm(values, axis=1)))
     listed = ", ".join(column_label(names, index) for index in indices)
     item = Item(
@@ -485,11 +485,11 @@ def propose_sensor(
     elif quantity == "specific_force" and is_computed and not whole and length < _WEIGHTLESS:
         item.append('unit = "m/s2"   # ? gravity is subtracted, and programs that do so write m/s2')
     elif not whole:
-        item += _measured(quantity, values, force_unit)
+        item += _propose_unit(quantity, values, force_unit)
     elif sphere is not None and not codes and is_in_mg(sphere.radius):
         item.append(UNIT_MG.format(sphere.radius))
     else:
-        item += [*codes, *_counted(quantity, gravity_length, largest)]
+        item += [*codes, *_propose_counts(quantity, gravity_length, largest)]
     return item
 
 
@@ -511,7 +511,7 @@ _EXACT = 0.012
 """Largest log ratio of gravity's length in all directions to the counts per g."""
 
 
-def _signed(values: Floats) -> tuple[Floats, list[str], float]:
+def _sign_codes(values: Floats) -> tuple[Floats, list[str], float]:
     """Return codes (n, 3) as signed codes, the lines of the map for this conversion, and the largest code that is then
     possible.
     """
@@ -549,7 +549,7 @@ def _wide_codes(length: float, beyond: float) -> list[str]:
     ]
 
 
-def _counted(quantity: str, length: float, largest: float) -> list[str]:
+def _propose_counts(quantity: str, length: float, largest: float) -> list[str]:
     """Return unit and scale of columns of integers up to `largest`."""
     bits = f"of {round(ln(2 * largest) / ln(2))} bits"
     if quantity == "specific_force":
@@ -580,7 +580,7 @@ UNIT_UNKNOWN = "dps or rad/s"
 """The units between which a gyroscope's unit is guessed, if its values do not determine it."""
 
 
-def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
+def _propose_unit(quantity: str, values: Floats, force_unit: str) -> list[str]:
     """Return the line of the unit of columns of physical values (n, 3)."""
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     if quantity == "angular_rate":

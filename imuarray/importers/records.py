@@ -166,13 +166,13 @@ class RecordRows:
                 text = begin.decode("utf-8-sig", WINDOWS_1252).lstrip()
                 lines = [line for line in text.split("\n") if line.strip()][:2]
                 if text[:1] in ("{", "[") and not (len(lines) > 1 and all(map(_parses, lines))):
-                    yield from self._of_document(file)
+                    yield from self._read_document(file)
                     return
-                yield from self._of_lines(file, raw)
+                yield from self._read_lines(file, raw)
             except (BadGzipFile, EOFError, zlib.error) as error:
                 raise SourceError(f"{self._path}: damaged gzip data: {error}") from None
 
-    def _of_document(self, file: BinaryIO) -> Iterator[tuple[int, Record]]:
+    def _read_document(self, file: BinaryIO) -> Iterator[tuple[int, Record]]:
         data = file.read(MOST_BYTES + 1)
         if len(data) > MOST_BYTES:
             raise SourceError(
@@ -183,18 +183,18 @@ class RecordRows:
         except (ValueError, RecursionError) as error:
             raise SourceError(f"{self._path}: damaged JSON: {printable(str(error))[:120]}") from None
         try:
-            yield from enumerate(_flattened(document), start=1)
+            yield from enumerate(_flatten(document), start=1)
         except RecursionError:
             raise SourceError(f"{self._path}: JSON that is nested too deeply") from None
 
-    def _of_lines(self, file: BinaryIO, raw: BinaryIO) -> Iterator[tuple[int, Record]]:
+    def _read_lines(self, file: BinaryIO, raw: BinaryIO) -> Iterator[tuple[int, Record]]:
         number = 0
         while line := file.readline(MOST_CHARACTERS):
             number += 1
             text = line.decode("utf-8-sig" if number == 1 else "utf-8", WINDOWS_1252).strip("\r\n\0 \x1e,")
             if not text or text.startswith("#"):
                 continue
-            records = list(_of_line(text))
+            records = list(_parse_line(text))
             if not records:
                 self._left_out["lines"] += 1
             yield from ((number, record) for record in records)
@@ -206,12 +206,12 @@ class _Number(str):
     """A number of JSON with all its digits."""
 
 
-def _of_line(text: str) -> Iterator[Record]:
+def _parse_line(text: str) -> Iterator[Record]:
     """Yield the records of a line; none for a damaged line."""
     if text[0] in "{[":
         try:
             value = json.loads(text, parse_float=_Number, parse_int=_Number)
-            yield from _flattened({_ELEMENT: value} if isinstance(value, list) else value)
+            yield from _flatten({_ELEMENT: value} if isinstance(value, list) else value)
         except (ValueError, RecursionError):
             return
     elif (point := _INFLUX.fullmatch(text)) is not None:
@@ -229,7 +229,7 @@ def _of_line(text: str) -> Iterator[Record]:
         yield frame["id"].upper(), values
 
 
-def _flattened(value: Any) -> Iterator[Record]:
+def _flatten(value: Any) -> Iterator[Record]:
     """Yield the records of JSON's objects and lists."""
     yield from _records_of("", value, {})
 

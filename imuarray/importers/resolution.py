@@ -114,7 +114,7 @@ def named_step(axes: Sequence[Floats], sensitivities: Sequence[float]) -> float 
         number = np.rint(counts)
         is_on_grid = float(np.mean(np.abs(counts - number) < _OFF_GRID)) > _ON_GRID
         if is_on_grid and len(np.unique(number)) > _ON_GRID * len(distinct):
-            return _refined(distinct, 1 / sensitivity)
+            return _refine(distinct, 1 / sensitivity)
     return None
 
 
@@ -129,14 +129,14 @@ def grid_step(values: Floats) -> float | None:
         return None
     nearest = float(np.diff(distinct).min())
     for divisor in _DIVISORS:
-        step = _refined(distinct, nearest / divisor)
+        step = _refine(distinct, nearest / divisor)
         deviation = np.abs(distinct / step - np.rint(distinct / step))
         if float(np.mean(deviation < _OFF_GRID)) > _ON_GRID:
             return step
     return None
 
 
-def _refined(distinct: Floats, step: float) -> float:
+def _refine(distinct: Floats, step: float) -> float:
     """Refine a step that fits values near zero by values that are increasingly far from it."""
     base = float(distinct[np.abs(distinct).argmin()])
     distance = distinct - base
@@ -188,7 +188,7 @@ def resolution_of(
     if range_ is None:
         range_ = next((value for value in RANGES[quantity] if largest <= value * BEYOND_RANGE), largest)
     if sensitivity is None:
-        return _inferred(quantity, axes, largest, range_)
+        return _infer(quantity, axes, largest, range_)
     counts = np.concatenate(axes) * sensitivity
     deviation = counts - np.rint(counts)
     is_exact = bool(len(deviation)) and float(np.mean(np.abs(deviation) < _OFF_GRID)) > _ON_GRID
@@ -213,7 +213,7 @@ _USUAL_BITS = (18, 19, 20, 24)
 """Numbers of bits of chips' codes, in addition to 16 and 32."""
 
 
-def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: float) -> Resolution:
+def _infer(quantity: str, axes: Sequence[Floats], largest: float, range_: float) -> Resolution:
     """Return the resolution of values whose counts per unit are not stated."""
     widest = max(range_, largest)
     coarse = INT16[1] / widest

@@ -64,7 +64,7 @@ class FileRows:
         self.remarks: list[str] = []
         first = _cells(self._files[0])
         described = _find_file(folder, "dataformat.txt")
-        self._names = [] if described is None else _described(described)
+        self._names = [] if described is None else _read_description(described)
         if len(self._names) != len(first):
             self._names = _value_names(len(first))
         stamps = _find_file(folder, "timestamps.txt")
@@ -118,7 +118,7 @@ def _cells(path: Path) -> list[str]:
     return lines[0].replace(",", " ").split()
 
 
-def _described(path: Path) -> list[str]:
+def _read_description(path: Path) -> list[str]:
     """Return the names of values, with their units in brackets, from a description file."""
     names = []
     for line in _lines(path):

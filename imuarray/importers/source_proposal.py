@@ -80,7 +80,7 @@ def _propose_kinds(layout: TextLayout, rows: Sequence[Sequence[str]], path: Path
         proposal.doubts.append(f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor needs kind and columns")
     force_unit = ""
     described = {kind: _full_labels(kind) for kind in kinds} if layout.labels else names_by_kind(path)
-    for kind in _numbered_kinds(proposal, kinds, described, rows):
+    for kind in _number_kinds(proposal, kinds, described, rows):
         if kind in described:
             _propose_described(proposal, kind, described[kind], rows)
             continue
@@ -111,7 +111,7 @@ def _propose_tables(path: Path, is_text: bool, is_bag: bool) -> Proposal:
             continue
         columns = [_first_values(source, name, kind) for name in names]
         if is_bag:
-            filled_names, columns = _with_values(names, columns)
+            filled_names, columns = _drop_empty(names, columns)
             partial = propose_columns(TextLayout(), filled_names, columns, {}, units=_ROS_UNITS)
         else:
             partial = propose_columns(TextLayout(), list(names), columns, {})
@@ -337,7 +337,7 @@ parts and not files of different sensors of one recorder.
 """
 
 
-def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
+def _drop_empty(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
     """Return the columns with at least one number: an Imu message from a gyroscope alone has no acceleration."""
     filled = [(name, values) for name, values in zip(names, columns, strict=True) if np.isfinite(values).any()]
     return [name for name, _ in filled], [values for _, values in filled]
@@ -382,7 +382,7 @@ def _full_labels(kind: str) -> list[str]:
     return names
 
 
-def _numbered_kinds(
+def _number_kinds(
     proposal: Proposal, kinds: list[str], described: dict[str, list[str]], rows: Sequence[Sequence[str]]
 ) -> list[str]:
     """Return the kinds of rows; if a column numbers the sensors of a kind (an ArduPilot log has several IMU), return

@@ -129,7 +129,7 @@ class FolderRows:
             first = None if later is None else self._first_row(later, columns)
             tail: list[Row] = []
             for block, where in self._files[name].blocks(columns, None, rows):
-                fresh = self._without(repeated, block, where, name)
+                fresh = self._drop_repeated(repeated, block, where, name)
                 cells = list(zip(*(fresh.columns[at] for at in where), strict=True)) if first is not None else []
                 begin = 0 if tail else next((place for place, row in enumerate(cells) if row == first), len(cells))
                 tail += cells[begin:]
@@ -143,7 +143,7 @@ class FolderRows:
             return tuple(str(block.columns[at][0]) for at in where)
         return None
 
-    def _without(self, repeated: list[Row], block: CellBlock, where: Sequence[int], name: str) -> CellBlock:
+    def _drop_repeated(self, repeated: list[Row], block: CellBlock, where: Sequence[int], name: str) -> CellBlock:
         """Return the rows of a block that are not `repeated` from the file before, and remove these from the list;
         SourceError if a row differs from its counterpart.
         """

@@ -93,7 +93,7 @@ def import_table(
     rows = open_rows(source, output, table_map, progress)
     streams = _streams(table_map)
     learnt = {
-        sensor.name: resolution for stream in streams for sensor, resolution in _inferred(stream, rows, table_map, ROWS)
+        sensor.name: resolution for stream in streams for sensor, resolution in _infer(stream, rows, table_map, ROWS)
     }
     headers = [_header(sensor, table_map, learnt.get(sensor.name)) for sensor in table_map.sensor]
     headers += [_thermometer_header(item) for item in table_map.thermometer]
@@ -166,7 +166,7 @@ def _streams(table_map: TableMap) -> list[RowGroup]:
     ]
 
 
-def _inferred(
+def _infer(
     plan: RowGroup, rows: RecordingRows, table_map: TableMap, block_rows: int
 ) -> Iterator[tuple[SensorTable, Resolution]]:
     """Infer the settings that the map does not state: range and sensitivity of columns in a unit, and the number of
@@ -287,7 +287,7 @@ def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> lis
     """Return the cells of a sensor's axes, with factor, signs and gravity of the map applied."""
     triad = [cells[column] for column in sensor.columns]
     if sensor.hexadecimal:
-        triad = [cell._replace(texts=list(map(_prefixed, cell.texts))) for cell in triad]
+        triad = [cell._replace(texts=list(map(_add_prefix, cell.texts))) for cell in triad]
     is_plain = sensor.gravity_columns is None and sensor.attitude_columns is None
     if sensor.factor is None and sensor.signs == "+++" and is_plain:
         return triad
@@ -304,7 +304,7 @@ def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> lis
     ]
 
 
-def _prefixed(code: str) -> str:
+def _add_prefix(code: str) -> str:
     """Return a hexadecimal code with 0x, as `number_of` requires; other cells as they are."""
     return f"0x{code.strip()}" if _HEXADECIMAL.fullmatch(code.strip()) else code
 
@@ -312,7 +312,7 @@ def _prefixed(code: str) -> str:
 _HEXADECIMAL = re.compile(r"[0-9A-Fa-f]{1,8}")
 
 
-def _dated(time: CellColumn, date: CellColumn) -> CellColumn:
+def _add_date(time: CellColumn, date: CellColumn) -> CellColumn:
     """Return the times of day with their dates before them; SourceError unless both columns are texts."""
     if time.values is not None or date.values is not None:
         raise time.refuse(0, "times with a date_column must be texts")
@@ -418,7 +418,7 @@ class _Stream:
         cells = {
             column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, places, strict=True)
         }
-        cells = self._without_padding(cells)
+        cells = self._drop_padding(cells)
         length = next(iter(cells.values())).rows
         if not length:
             return
@@ -439,7 +439,7 @@ class _Stream:
             elif isinstance(item, ReferenceTable):
                 self._add_reference(item, cells, time)
 
-    def _without_padding(self, cells: dict[Reference, CellColumn]) -> dict[Reference, CellColumn]:
+    def _drop_padding(self, cells: dict[Reference, CellColumn]) -> dict[Reference, CellColumn]:
         """Remove trailing rows of zeros, including time, which a program reserved and did not fill; and rows without
         time, in which no sensor has a reading.
         """
@@ -464,7 +464,7 @@ class _Stream:
             cell = cells[self.plan.time_column]
             second = None if self.plan.second_column is None else cells[self.plan.second_column]
             if second is not None and self._time.date_column is not None:
-                cell = _dated(cell, second)
+                cell = _add_date(cell, second)
             elif second is not None:
                 rest = TimeColumn(self._time.fraction_unit).stamps(second)
                 cell = CellColumn(cell.source, cell.label, cell.lines, (), TimeColumn("s").stamps(cell) + rest)
@@ -497,7 +497,7 @@ class _Stream:
             degrees = _degrees(cell, sensor.thermometer)
         late = {name: np.zeros(len(triads)) for name in header.compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
-        status |= self._lost_before(sensor.name, missing & ~_blank(triad), complete)
+        status |= self._flag_lost(sensor.name, missing & ~_blank(triad), complete)
         if self._clock.restarted.any():
             status[np.searchsorted(np.flatnonzero(complete), np.flatnonzero(self._clock.restarted & complete))] |= (
                 LOST_BEFORE
@@ -505,7 +505,7 @@ class _Stream:
         self.log.append(sensor.name, Block(time[complete], triads, status, degrees, late))
         self.rows_of[sensor.name] += len(triads)
 
-    def _lost_before(self, name: str, incomplete: Booleans, complete: Booleans) -> npt.NDArray[np.uint16]:
+    def _flag_lost(self, name: str, incomplete: Booleans, complete: Booleans) -> npt.NDArray[np.uint16]:
         """Return the flags (k,) of the `complete` rows (n,): a row is flagged as lost before if `incomplete` rows (n,)
         precede it, also those of an earlier block.
         """

@@ -100,7 +100,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         cells = [labelled(split_cells(plain_line(line, mark), mark)) for _, line in lines]
         return layout, [], [row for row in cells if row]
     layout.delimiter = mark = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
-    rows = _padded([(number, split_cells(plain_line(line, mark), mark)) for number, line in lines])
+    rows = _pad([(number, split_cells(plain_line(line, mark), mark)) for number, line in lines])
     if mark != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
         layout.decimal = ","
     numeric = [_is_of_numbers(row, layout) for _, row in rows]
@@ -172,7 +172,7 @@ def _header(
     return [name.strip() for name in header[1]] if header is not None and layout.named else []
 
 
-def _padded(rows: list[_Row]) -> list[_Row]:
+def _pad(rows: list[_Row]) -> list[_Row]:
     """Return rows of several widths, below a header as wide as the widest row, extended to the width of the header:
     readings of several kinds have different numbers of values.
     """

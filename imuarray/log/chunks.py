@@ -53,18 +53,18 @@ class ColumnWriter:
             self._column[begin : begin + first] = values[:first]
         for start in range(first, last, chunk):
             place = (begin + start, *[0] * (values.ndim - 1))
-            self._column.id.write_direct_chunk(place, self._filtered(values[start : start + chunk]))
+            self._column.id.write_direct_chunk(place, self._filter(values[start : start + chunk]))
         if last < len(values):
             self._column[begin + last :] = values[last:]
 
-    def _filtered(self, values: npt.NDArray[np.generic]) -> bytes:
+    def _filter(self, values: npt.NDArray[np.generic]) -> bytes:
         """Return the values of a chunk as they are stored."""
         plain = values.tobytes()
         if plain != self._last[0]:
             stored = plain
             for code, parameters in self._filters:
                 if code == h5z.FILTER_SHUFFLE:
-                    stored = _shuffled(stored, values.dtype.itemsize)
+                    stored = _shuffle(stored, values.dtype.itemsize)
                 elif code == h5z.FILTER_DEFLATE:
                     stored = zlib.compress(stored, parameters[0])
                 else:
@@ -73,7 +73,7 @@ class ColumnWriter:
         return self._last[1]
 
 
-def _shuffled(data: bytes, width: int) -> bytes:
+def _shuffle(data: bytes, width: int) -> bytes:
     """Return the first bytes of all values of `width` bytes, then the second ones, and so on."""
     planes = bytearray(len(data))
     shuffle((data, planes), (len(data) // width, width))

@@ -139,10 +139,10 @@ class NamedColumn:
         return (self[row] for row in range(len(self)))
 
     def __getitem__(self, key: Any) -> Any:
-        rows = self._stored(key)
+        rows = self._read_stored(key)
         return rows if rows.dtype == self._dtype else rows.astype(self._dtype)
 
-    def _stored(self, key: Any) -> Any:
+    def _read_stored(self, key: Any) -> Any:
         if self._cache is not None and self._cache.used:
             if isinstance(key, slice) and key.step in (None, 1):
                 start, stop, _ = key.indices(len(self))
@@ -158,12 +158,12 @@ class NamedColumn:
         try:
             return self._column[key]
         except UNREADABLE:
-            raise self._damaged(key) from None
+            raise self._damage_error(key) from None
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.asarray(self[()] if self.shape == () else self[:], dtype)
 
-    def _damaged(self, key: Any) -> LogError:
+    def _damage_error(self, key: Any) -> LogError:
         if isinstance(self._column, h5py.Dataset) and not self._column:
             return LogError(f"{self._place}: the log is closed; read its rows while it is open")
         rows = key[0] if isinstance(key, tuple) and key else key
@@ -193,7 +193,7 @@ class Column:
         stored: Callable[[int, int], npt.NDArray[Any]] | None = None,
     ) -> None:
         """`stored` returns the rows between two row numbers of the `rows` in the file; OSError if unreadable."""
-        self.name, self._rows, self._tail, self._stored = name, rows, tail, stored
+        self.name, self._rows, self._tail, self._read_stored = name, rows, tail, stored
         self.dtype: np.dtype[Any] = tail.dtype
         self.shape: tuple[int, ...] = (rows + len(tail), *tail.shape[1:])
         self.ndim, self.size = tail.ndim, int(np.prod(self.shape))
@@ -216,8 +216,8 @@ class Column:
     def _slice(self, start: int, stop: int, step: int) -> npt.NDArray[Any]:
         """Return rows from both parts."""
         head = self._tail[:0]
-        if self._stored is not None and start < min(stop, self._rows):
-            head = np.asarray(self._stored(start, min(stop, self._rows)), self.dtype)[::step]
+        if self._read_stored is not None and start < min(stop, self._rows):
+            head = np.asarray(self._read_stored(start, min(stop, self._rows)), self.dtype)[::step]
         if stop <= self._rows:
             return head.copy()
         first = start if start >= self._rows else start + step * len(head)

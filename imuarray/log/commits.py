@@ -136,9 +136,9 @@ class CommittedRows:
         """Check every commit. Rows damaged both here and in the journal are reported, and omitted from now on."""
         lost_rows = np.zeros(len(self._groups), np.int64)
         for segment in self._segments:
-            if not self._fits(segment) and self._replaced(segment) is None:
+            if not self._fits(segment) and self._replace(segment) is None:
                 lost_rows += self._lengths(segment)
-                self._rest[segment.number] = self._salvaged(segment)
+                self._rest[segment.number] = self._salvage(segment)
                 lost_rows -= self._lengths(segment)
         self._count()
         counts = [
@@ -148,7 +148,7 @@ class CommittedRows:
         ]
         return [f"damaged, and not in the journal: {', '.join(counts)}"] if counts else []
 
-    def _salvaged(self, segment: Segment) -> list[Columns]:
+    def _salvage(self, segment: Segment) -> list[Columns]:
         """Return the rows, by group, that the journal has of a commit that is damaged in both places."""
         if self._journal is None:
             return [group.joined([]) for group in self._groups]
@@ -178,16 +178,16 @@ class CommittedRows:
             count = min(stop, edges[index + 1]) - position
             if self._fits(segment):
                 first = segment.start[number] + offset
-                pieces.append(self._stored(number, name, first, first + count))
+                pieces.append(self._read_stored(number, name, first, first + count))
             else:
-                replaced = self._replaced(segment)
+                replaced = self._replace(segment)
                 if replaced is None:
                     raise OSError(errno.EBADMSG, "rows are damaged, and the journal does not have them")
                 pieces.append(replaced[number][name][offset : offset + count])
             position += count
         return pieces[1] if len(pieces) == 2 else np.concatenate(pieces)
 
-    def _stored(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+    def _read_stored(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
         """Return rows of the file, as stored."""
         if (number, name) not in self._columns:  # HDF5 takes longer to open a column than to read a commit's rows
             self._columns[number, name] = self._file[self._groups[number].path][name]
@@ -211,13 +211,13 @@ class CommittedRows:
 
     def _crc(self, segment: Segment) -> int:
         stretches = {
-            number: {name: self._stored(number, name, start, end) for name, _, _ in group.columns}
+            number: {name: self._read_stored(number, name, start, end) for name, _, _ in group.columns}
             for number, (group, start, end) in enumerate(zip(self._groups, segment.start, segment.end, strict=True))
             if end > start
         }
         return block_crc(self._groups, stretches)
 
-    def _replaced(self, segment: Segment) -> list[Columns] | None:
+    def _replace(self, segment: Segment) -> list[Columns] | None:
         """Return the rows of a commit from the journal, by group; None if the journal lacks some of them, unless
         `check` has accepted the loss.
         """

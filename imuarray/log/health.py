@@ -108,14 +108,14 @@ def _urgent(observations: Observations) -> Iterator[_Reason]:
         longest = max(observations.silent.values())
         yield _Reason(f"{_names(observations.silent)} silent for {duration(longest)}", "check cable, power and address")
     if _share(observations) >= MANY_MISSED:
-        yield _missed(observations, f"{percent(_share(observations))} of the frames missed")
+        yield _missed_reason(observations, f"{percent(_share(observations))} of the frames missed")
     if observations.room_s is not None and observations.room_s < NO_ROOM_S:
         yield _Reason(f"the disk is full in {duration(observations.room_s)}", _ROOM)
 
 
 def _minor(observations: Observations) -> Iterator[_Reason]:
     if 0 < _share(observations) < MANY_MISSED:
-        yield _missed(observations, f"{counted(observations.missed, 'frame')} missed")
+        yield _missed_reason(observations, f"{counted(observations.missed, 'frame')} missed")
     if lost_rows := {name: count for name, count in observations.lost.items() if count}:
         yield _Reason(f"{counted(sum(lost_rows.values()), 'reading')} of {_names(lost_rows)} lost", _EVENTS)
     if observations.stalled:
@@ -138,7 +138,7 @@ def _minor(observations: Observations) -> Iterator[_Reason]:
         yield _Reason(f"the disk is full in {duration(observations.room_s)}", _ROOM)
 
 
-def _missed(observations: Observations, text: str) -> _Reason:
+def _missed_reason(observations: Observations, text: str) -> _Reason:
     return (
         _Reason(f"{text}, the bus did not always answer", _WIRING)
         if observations.bus_failed

@@ -186,19 +186,19 @@ def is_running(path: Path) -> bool:
     except OSError:
         return False
     try:
-        return not _locked(fd, exclusive=False)
+        return not _try_lock(fd, exclusive=False)
     finally:
         os.close(fd)
 
 
-def _locked_alone(fd: int) -> bool:
+def _lock_alone(fd: int) -> bool:
     """Lock an open file exclusively. `is_running` holds a shared lock for a moment; wait until it is released. Return
     False if another process holds an exclusive lock, or a shared lock for longer.
     """
     for _ in range(_TRIES):
-        if _locked(fd, exclusive=True):
+        if _try_lock(fd, exclusive=True):
             return True
-        if not _locked(fd, exclusive=False):
+        if not _try_lock(fd, exclusive=False):
             return False
         _unlock(fd)
         time.sleep(_PAUSE_S)
@@ -210,7 +210,7 @@ def _unlock(fd: int) -> None:
         fcntl.flock(fd, fcntl.LOCK_UN)
 
 
-def _locked(fd: int, *, exclusive: bool) -> bool:
+def _try_lock(fd: int, *, exclusive: bool) -> bool:
     """Lock an open file, shared or exclusively; return False if another process holds it."""
     if sys.platform == "win32":
         return True
@@ -232,7 +232,7 @@ class JournalLock:
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         while True:
             self.fd = os.open(self.path, flags, 0o644)
-            if not _locked_alone(self.fd):
+            if not _lock_alone(self.fd):
                 os.close(self.fd)
                 raise LogBusyError(path)
             if self.is_named:
@@ -360,7 +360,7 @@ class JournalReader:
         mark, newest = start or self.start, dict(newest_ns or {})
         salvage = Salvage(self._file.fileno(), [group.row_bytes for group in self.groups], self._tags)
         while True:
-            for record in self._chained(mark):
+            for record in self._read_chain(mark):
                 times = self._times(record)
                 previous = newest.get(record.group, -(1 << 62))
                 if self.damage and (np.diff(times, prepend=previous) <= 0).any():
@@ -387,7 +387,7 @@ class JournalReader:
     def between(self, start: Mark | None, end: Mark) -> list[Record]:
         """Return the blocks between two positions (None: from the beginning); LogError unless all of them are good."""
         mark, records = start or self.start, []
-        for record in self._chained(mark):
+        for record in self._read_chain(mark):
             if record.after.position > end.position:
                 break
             mark = record.after
@@ -433,7 +433,7 @@ class JournalReader:
         rest = "; not all of the journal could be searched for more" if salvage.is_spent else ""
         self.damage.append(f"journal: bytes {start} to {end - 1} {cause}, rows are lost{rest}")
 
-    def _chained(self, start: Mark) -> Iterator[Record]:
+    def _read_chain(self, start: Mark) -> Iterator[Record]:
         """Yield the blocks from `start` to the first that is not good."""
         position, chain = start
         self._file.seek(position)

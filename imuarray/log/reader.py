@@ -79,7 +79,7 @@ class Log:
             if not names:
                 raise LogError(f"{path}: every sensor in it is damaged")
             self.sensors: Mapping[str, SensorLog] = {
-                name: SensorLog(self._file["sensors"][name], f"{path}, sensor {name}", self, _shared, self._cache)
+                name: SensorLog(self._file["sensors"][name], f"{path}, sensor {name}", self, _open_shared, self._cache)
                 for name in names
             }
             is_plain = isinstance(self._file, h5py.File) and not self._damaged
@@ -329,7 +329,7 @@ class Log:
         return html_table(repr(self), ("sensor", "chip", "quantity", "range", "axes", "rows"), rows)
 
     def __reduce__(self) -> tuple[Callable[[Path], Log], tuple[Path]]:
-        return _shared, (self.path.absolute(),)
+        return _open_shared, (self.path.absolute(),)
 
     @property
     def is_open(self) -> bool:
@@ -413,7 +413,7 @@ _SHARED: WeakValueDictionary[Path, Log] = WeakValueDictionary()
 """Logs that were unpickled in this process, by path."""
 
 
-def _shared(path: Path) -> Log:
+def _open_shared(path: Path) -> Log:
     """Return the log at a path that was unpickled before, if it is still open; else open it. LogError as `open_log`."""
     log = _SHARED.get(path)
     if log is None or not log.is_open:

@@ -261,11 +261,11 @@ class RotatingWriter:
         self._beginning.shutdown()
         for thread in self._finishing:
             thread.join()
-        failure = self._with_unfinished_parts(failure or self._error or error)
+        failure = self._name_unfinished_parts(failure or self._error or error)
         if failure is not None and failure is not error:
             raise failure
 
-    def _with_unfinished_parts(self, failure: BaseException | None) -> BaseException | None:
+    def _name_unfinished_parts(self, failure: BaseException | None) -> BaseException | None:
         """Return the error; if the disk was full, it names the parts that could not be finished."""
         unfinished = [path for path in self.paths if journal_of(path).exists()]
         if not isinstance(failure, DiskFullError) or not unfinished:

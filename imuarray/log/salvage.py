@@ -93,14 +93,14 @@ class Salvage:
         if self._check_bytes <= 0:
             return False
         head = self._read_bytes(OVERHEAD, position)
-        size = self._declared(head)
+        size = self._payload_size(head)
         if size is None or size > min(LONGEST_BLOCK, self._check_bytes):
             return False
         payload = self._read_bytes(size, position + OVERHEAD)
         self._check_bytes -= size
-        return len(payload) == size and head[HEAD.size :] == CRC.pack(_chained(head, payload, chain))
+        return len(payload) == size and head[HEAD.size :] == CRC.pack(_chain_checksum(head, payload, chain))
 
-    def _declared(self, head: bytes) -> int | None:
+    def _payload_size(self, head: bytes) -> int | None:
         """Return the bytes of payload that a head declares; None unless it can be the head of a block of this log."""
         if len(head) < OVERHEAD:
             return None
@@ -118,7 +118,7 @@ class Salvage:
             if self.is_spent:
                 break
             head = self._read_bytes(OVERHEAD, head_position)
-            size = self._declared(head)
+            size = self._payload_size(head)
             if size is None:
                 continue
             for chain in chains if head_position > bad.position else ():
@@ -134,7 +134,7 @@ class Salvage:
     def last(self, bad: Mark) -> Record | None:
         """Return the block from `bad` to the end of the journal, if only its head is wrong."""
         end = self._end
-        block = self._reheaded(bad, end)
+        block = self._try_other_heads(bad, end)
         if block is None:
             return None
         (stored,) = CRC.unpack(self._read_bytes(CRC.size, bad.position + HEAD.size))
@@ -146,15 +146,15 @@ class Salvage:
         """
         position, chain = bad
         head = self._read_bytes(OVERHEAD, position)
-        size = self._declared(head)
+        size = self._payload_size(head)
         if size is not None and position + OVERHEAD + size == after.position:
             payload = self._read_bytes(size, position + OVERHEAD)
             group, _, rows = HEAD.unpack_from(head)
-            return Record(group, rows, payload, after) if _chained(head, payload, chain) == after.chain else None
-        block = self._reheaded(bad, after.position)
+            return Record(group, rows, payload, after) if _chain_checksum(head, payload, chain) == after.chain else None
+        block = self._try_other_heads(bad, after.position)
         return None if block is None else Record(*block, after)
 
-    def _reheaded(self, bad: Mark, end: int) -> tuple[int, int, bytes] | None:
+    def _try_other_heads(self, bad: Mark, end: int) -> tuple[int, int, bytes] | None:
         """Return group, rows and payload of the bytes from `bad` to `end` as one block whose head fits its checksum."""
         position, chain = bad
         if not OVERHEAD < end - position <= _LONGEST_GAP:
@@ -164,7 +164,7 @@ class Salvage:
         for group, row_bytes in enumerate(self._row_bytes):
             rows, rest = divmod(len(payload), row_bytes)
             self._check_bytes -= 0 if rest else len(payload)
-            if not rest and _chained(HEAD.pack(group, self._tags[0], rows), payload, chain) == stored:
+            if not rest and _chain_checksum(HEAD.pack(group, self._tags[0], rows), payload, chain) == stored:
                 return group, rows, payload
         return None
 
@@ -179,11 +179,11 @@ class Salvage:
         head = self._read_bytes(OVERHEAD, position)
         if len(head) < OVERHEAD:
             return []
-        size = self._declared(head) or 0
+        size = self._payload_size(head) or 0
         payload = self._read_bytes(min(size, LONGEST_BLOCK, self._check_bytes), position + OVERHEAD)
         self._check_bytes -= len(payload)
         is_own = 0 < position % _SECTOR <= _SECTOR - OVERHEAD
-        return [_chained(head, payload, chain), *(CRC.unpack_from(head, HEAD.size) if is_own else ())]
+        return [_chain_checksum(head, payload, chain), *(CRC.unpack_from(head, HEAD.size) if is_own else ())]
 
     def _heads(self, position: int) -> Iterator[int]:
         """Yield positions from `position` on at which a block of this log may begin, by tag, group and rows."""
@@ -203,7 +203,7 @@ class Salvage:
         of a block, and zeros of pages that never reached the disk.
         """
         length = self._end - position
-        size = self._declared(self._read_bytes(OVERHEAD, position))
+        size = self._payload_size(self._read_bytes(OVERHEAD, position))
         if length < OVERHEAD or (size is not None and OVERHEAD + size > length):
             return True
         if size is not None and OVERHEAD + size == length:
@@ -228,7 +228,7 @@ class Salvage:
         return any(not any(data[max(0, stop - _PAGE) : stop]) for stop in ends)
 
 
-def _chained(head: bytes, payload: bytes, chain: int) -> int:
+def _chain_checksum(head: bytes, payload: bytes, chain: int) -> int:
     """Return the checksum of a block that continues from `chain`."""
     return zlib.crc32(payload, zlib.crc32(head[: HEAD.size], chain))
 

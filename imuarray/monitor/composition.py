@@ -72,7 +72,7 @@ def view_of(
         silent_s=silent_ns * 1e-9 if silent_ns else None,
         framed=framed,
         delayed=window.gaps.delayed + earlier.delayed,
-        missed=_missed_rows(window, earlier, silent_ns, frame_period_ns if framed else 0),
+        missed=_count_missed(window, earlier, silent_ns, frame_period_ns if framed else 0),
         flags=_flags(window),
         time=time,
         values=values,
@@ -95,7 +95,7 @@ def _silence(sensor: SensorLog, window: LatestRows, extent: tuple[int, int]) -> 
     return since_ns if since_ns > max(_LAST_NS, _LAST_PERIODS * period_ns, min(held_ns, _HELD_NS)) else 0
 
 
-def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
+def _count_missed(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
     """Return the number of missing rows up to the newest row of the log; `frame_period_ns` is 0 for a sensor that is
     not read once per frame.
     """
@@ -180,7 +180,7 @@ def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = Non
     cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
     whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
     if given is None:
-        names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in (path.stem, whole)]
+        names = [path.with_name(f"{stem}_choose_fused{path.suffix}") for stem in (path.stem, whole)]
     else:
         names = [given.with_stem(given.stem + part), given]
     for candidate in dict.fromkeys(names):
@@ -248,7 +248,7 @@ def snapshot_of(
         for name, window in windows.items()
     )
     frames = _frames(views)
-    fused, not_fused = _fused(source, windows, calibration, ends_ns or 0, result)
+    fused, not_fused = _choose_fused(source, windows, calibration, ends_ns or 0, result)
     framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
     missed = missed_by_all(framed, period_ns)  # by the grid of the frames, or else by the rows that all sensors lack
     if missed is None:
@@ -341,7 +341,7 @@ def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
     return Disk(free, bytes_per_s, max(0.0, (free - WATERMARK) / bytes_per_s) if bytes_per_s else None)
 
 
-def _fused(
+def _choose_fused(
     source: LogSource, windows: dict[str, LatestRows], calibration: Calibration, end_ns: int, result: Path | None
 ) -> tuple[FusedView | None, str]:
     """Return the fused output, or why there is none."""

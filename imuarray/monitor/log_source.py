@@ -61,7 +61,7 @@ class Backlog:
             start = self._done[name]
             stop = min(rows, start + budget)
             if stop > start:
-                self._gaps[name] += _counted(column, start, stop, periods_ns.get(name, 0.0))
+                self._gaps[name] += _count_gaps(column, start, stop, periods_ns.get(name, 0.0))
                 self._done[name] = stop
                 budget -= stop - start
         if self.counted == 1.0:
@@ -74,7 +74,7 @@ class Backlog:
         self._columns, self._close = {}, None
 
 
-def _counted(column: Any, start: int, stop: int, period_ns: float) -> Gaps:
+def _count_gaps(column: Any, start: int, stop: int, period_ns: float) -> Gaps:
     """Return the gaps that begin in rows `start` to `stop`."""
     try:
         return gaps_of(np.asarray(column[start : min(stop + STRIDE, len(column))]), period_ns)
@@ -198,7 +198,7 @@ class Growing:
         self.source, self.epoch, self.frame_rate_hz = preamble.source, preamble.epoch, preamble.frame_rate_hz
         groups = self._reader.groups
         self.row_bytes = {group.path: group.row_bytes for group in groups}
-        file = _opened(self.path, preamble)
+        file = _open_file(self.path, preamble)
         try:
             self.attributes: dict[str, Attributes] = {
                 header.name: sensor_attributes(header) for header in preamble.sensors
@@ -260,7 +260,7 @@ LogSource = Whole | Growing
 """A log whose rows are read into `read_rows`; `attributes` of its sensors, `state` at the last refresh."""
 
 
-def _opened(path: Path, preamble: Preamble) -> h5py.File:
+def _open_file(path: Path, preamble: Preamble) -> h5py.File:
     """Open the HDF5 file of the log with this preamble; LogError."""
     try:
         file = h5py.File(UnclosedFile(path, check_heaps=False), "r")

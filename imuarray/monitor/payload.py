@@ -73,9 +73,9 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
         "counted": round(snapshot.counted, 3),
         "events": {printable(kind): count for kind, count in (snapshot.events or {}).items()},
         "problems": snapshot.problems,
-        "recent": [_event(event) for event in snapshot.recent],
+        "recent": [_describe_event(event) for event in snapshot.recent],
         "repeated": [
-            _event(group.event) | {"count": group.times, "first_s": _seconds(group.first_ns)}
+            _describe_event(group.event) | {"count": group.times, "first_s": _seconds(group.first_ns)}
             for group in snapshot.repeated
         ],
         "health": None
@@ -85,9 +85,9 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
             "reason": snapshot.health.reason,
             "advice": snapshot.health.advice,
         },
-        "disk": _disk(snapshot),
-        "sensors": [_sensor(view) for view in snapshot.sensors],
-        "fused": None if snapshot.fused is None else _fused(snapshot.fused),
+        "disk": _describe_disk(snapshot),
+        "sensors": [_describe_sensor(view) for view in snapshot.sensors],
+        "fused": None if snapshot.fused is None else _describe_fused(snapshot.fused),
         "not_fused": printable(snapshot.not_fused),
         "took_ms": round(snapshot.took_s * 1e3, 1),
     }
@@ -110,7 +110,7 @@ def drawn(snapshot: Snapshot) -> dict[str, Any]:
     return figures
 
 
-def _event(event: Event) -> dict[str, Any]:
+def _describe_event(event: Event) -> dict[str, Any]:
     return {
         "time_s": _seconds(event.time_ns),
         "sensor": printable(event.sensor),
@@ -124,7 +124,7 @@ def _seconds(time_ns: int | None) -> float | None:
     return None if time_ns is None else round(time_ns * 1e-9, 3)
 
 
-def _disk(snapshot: Snapshot) -> dict[str, Any] | None:
+def _describe_disk(snapshot: Snapshot) -> dict[str, Any] | None:
     disk = snapshot.disk
     if disk is None:
         return None
@@ -132,7 +132,7 @@ def _disk(snapshot: Snapshot) -> dict[str, Any] | None:
     return {"free_bytes": disk.free_bytes, "bytes_per_s": round(disk.bytes_per_s), "left_s": left_s}
 
 
-def _sensor(view: SensorView) -> dict[str, Any]:
+def _describe_sensor(view: SensorView) -> dict[str, Any]:
     return {
         "name": printable(view.name),
         "chip": printable(view.chip),
@@ -155,7 +155,7 @@ def _sensor(view: SensorView) -> dict[str, Any]:
     }
 
 
-def _fused(fused: FusedView) -> dict[str, Any]:
+def _describe_fused(fused: FusedView) -> dict[str, Any]:
     quantities = {}
     for quantity in fused.triads:
         factor, unit = READABLE_SI[quantity]

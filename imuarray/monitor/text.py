@@ -21,19 +21,19 @@ _NUMBERS = 70
 
 def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
     """Return the snapshot in lines of at most `columns` (80 or more), without control characters."""
-    lines = _wrapped(_head(snapshot), columns, first="")
+    lines = _wrap(_head(snapshot), columns, first="")
     if snapshot.remark:
-        lines += _wrapped(printable(snapshot.remark), columns)
+        lines += _wrap(printable(snapshot.remark), columns)
     if snapshot.begins_ns is None:
         return lines
     if snapshot.health is not None:
         advice = f": {snapshot.health.advice}" if snapshot.health.advice else ""
-        lines += _wrapped(f"health {snapshot.health.level}: {snapshot.health.reason}{advice}", columns)
+        lines += _wrap(f"health {snapshot.health.level}: {snapshot.health.reason}{advice}", columns)
     lines += [*_figures(snapshot, columns), "", *_sensors(snapshot.sensors, columns), ""]
-    return [*lines, *_fused(snapshot, columns), *_events(snapshot, columns)]
+    return [*lines, *_fused_lines(snapshot, columns), *_events(snapshot, columns)]
 
 
-def _wrapped(text: str, columns: int, first: str = "  ") -> list[str]:
+def _wrap(text: str, columns: int, first: str = "  ") -> list[str]:
     return textwrap.wrap(text, columns, initial_indent=first, subsequent_indent="    ") or [""]
 
 
@@ -64,7 +64,7 @@ def _figures(snapshot: Snapshot, columns: int) -> list[str]:
     return [
         f"  {snapshot.rate_hz:.1f}{nominal}, {frames}",
         f"  {room}",
-        *_wrapped(total + (f": {kinds}" if kinds else ""), columns),
+        *_wrap(total + (f": {kinds}" if kinds else ""), columns),
     ]
 
 
@@ -96,12 +96,12 @@ def _flags(named: Iterable[tuple[str, SensorView]], columns: int) -> list[str]:
         for name, view in named
         if view.flags
     ]
-    return _wrapped("flagged lately: " + "; ".join(flagged), columns) if flagged else []
+    return _wrap("flagged lately: " + "; ".join(flagged), columns) if flagged else []
 
 
-def _fused(snapshot: Snapshot, columns: int) -> list[str]:
+def _fused_lines(snapshot: Snapshot, columns: int) -> list[str]:
     if snapshot.fused is None:
-        return _wrapped(f"not fused: {printable(snapshot.not_fused)}", columns)
+        return _wrap(f"not fused: {printable(snapshot.not_fused)}", columns)
     fused = snapshot.fused
     scaling = "calibrated" if fused.calibrated else "data sheet's values"
     lines = [f"  fused ({printable(fused.technique)}, {scaling}), box frame, last second"]

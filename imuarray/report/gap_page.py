@@ -99,12 +99,12 @@ def gap_sections(diagnosis: Diagnosis, *, with_figures: bool) -> tuple[Section, 
         _pulls(diagnosis),
         curves_section(diagnosis.overlays, with_figures=with_figures),
         _where(diagnosis),
-        _unexplained(diagnosis),
+        _unexplained_section(diagnosis),
         _unobservable(diagnosis),
         _missing(diagnosis),
         _next(diagnosis),
-        _judged(diagnosis),
-        _recorded(diagnosis),
+        _judgement_section(diagnosis),
+        _recording_section(diagnosis),
     )
 
 
@@ -278,7 +278,7 @@ def _cause_row(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     parameters = parameters_text(cause.parameters) or NOTHING
     rivals = f"instead of {cause.alternative_to}" if cause.alternative_to else ", ".join(cause.confusable_with)
     return [
-        _explained(effect_text(cause), meaning(cause.effect) or "not in the library"),
+        _explain(effect_text(cause), meaning(cause.effect) or "not in the library"),
         share(cause.probability),
         places_text(cause),
         f"{parameters} ({next(iter(cause.each))}; others below)" if _differs(cause) else parameters,
@@ -299,7 +299,7 @@ def _differs(cause: Cause) -> bool:
     return any(item != several[0] for item in several)
 
 
-def _explained(name: str, more: str) -> str:
+def _explain(name: str, more: str) -> str:
     """Return an escaped name with its meaning in small type below it; MissingExtraError without jinja2's escaping."""
     return markup('{}<br><small style="font-weight: normal">{}</small>', name, more)
 
@@ -440,7 +440,7 @@ def _where_table(where: Sequence[Where], replicates: int) -> Table:
     return Table(heading, rows, f"Worst first.{more}", (1, 2, 3))
 
 
-def _unexplained(diagnosis: Diagnosis) -> Section:
+def _unexplained_section(diagnosis: Diagnosis) -> Section:
     unexplained = diagnosis.unexplained
     words = "Nothing: no statistic still differs after the causes were added."
     if unexplained:
@@ -469,14 +469,14 @@ def _missing(diagnosis: Diagnosis) -> Section:
     words = (
         "What a recording or the simulator lacks is not a difference; the statistics that need it were not compared."
     )
-    return Section(title, words, [_numbered("missing", diagnosis.missing, "Statistics that could not be compared.")])
+    return Section(title, words, [_number_rows("missing", diagnosis.missing, "Statistics that could not be compared.")])
 
 
 def _next(diagnosis: Diagnosis) -> Section:
     return Section("Next experiment", diagnosis.next_experiment or "None is needed to separate the causes.")
 
 
-def _judged(diagnosis: Diagnosis) -> Section:
+def _judgement_section(diagnosis: Diagnosis) -> Section:
     title, judged = "Candidates that were examined", diagnosis.judged
     if not judged:
         return Section(title, "None: candidates are tried only if there is a gap.")
@@ -508,13 +508,13 @@ def _judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
     return Table(["effect", "action", "sensors", "fits", "gain (nats)", "accepted"], rows, caption, (1, 2, 5))
 
 
-def _recorded(diagnosis: Diagnosis) -> Section:
+def _recording_section(diagnosis: Diagnosis) -> Section:
     recorded = []
     for recording in diagnosis.recorded:
         sizes = [str(recording.sensors), str(recording.phases), f"{recording.rows:,}".replace(",", " ")]
         recorded.append([recording.name, recording.kind, duration(recording.seconds), *sizes])
     heading = ["log", "experiment", "duration", "sensors", "phases", "rows"]
-    notes = [_numbered("note", diagnosis.notes, "Remarks of the diagnosis.")] if diagnosis.notes else []
+    notes = [_number_rows("note", diagnosis.notes, "Remarks of the diagnosis.")] if diagnosis.notes else []
     origin = [
         ["model", diagnosis.model],
         ["seed", str(diagnosis.seed)],
@@ -529,7 +529,7 @@ def _recorded(diagnosis: Diagnosis) -> Section:
     return Section("Recordings and method", diagnosis.held_out, parts)
 
 
-def _numbered(heading: str, texts: Sequence[str], caption: str) -> Table:
+def _number_rows(heading: str, texts: Sequence[str], caption: str) -> Table:
     return Table(["", heading], [[str(place), text] for place, text in enumerate(texts, 1)], caption, (1,))
 
 

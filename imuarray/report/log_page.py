@@ -53,9 +53,9 @@ def log_sections(
     """Yield the sections on what was recorded, on every sensor over time by `calibration` (None: by the data sheets),
     and on the noise at rest. `scales`: calibrated counts per unit by sensor, for the noise.
     """
-    yield _recorded(log)
+    yield _recording_section(log)
     if recording := recording_of(log, calibration or Calibration()):
-        yield _shown(log, recording)
+        yield _figure_section(log, recording)
     columns = itertools.count(1)
     total = 3 * sum(sensor.is_triad for sensor in log.sensors.values())
     try:
@@ -81,7 +81,7 @@ def doubt_sections(log: Log, doubts: Sequence[str]) -> Iterator[Section]:
     yield Section(f"{log.path.name}: what is doubtful", words, parts)
 
 
-def _recorded(log: Log) -> Section:
+def _recording_section(log: Log) -> Section:
     rows, flagged = [], dict.fromkeys(FLAGS, 0)
     for sensor in log.sensors.values():
         flags = sensor.flagged()
@@ -130,7 +130,7 @@ def _events(log: Log) -> Table:
     return Table(["at s", "last at s", "times", "sensor", "kind", "what"], rows, caption, (3, 4, 5))
 
 
-def _shown(log: Log, recording: RecordingFigure) -> Section:
+def _figure_section(log: Log, recording: RecordingFigure) -> Section:
     marked = [trace.name for trace in recording.traces if trace.spans]
     words = (
         f"Sensors with clipped, missing or silent stretches: {listed(marked)}. "
@@ -212,7 +212,7 @@ def _noise_table(result: Mapping[str, Any]) -> Table:
         for axis in sensor["axes"]:
             own, fit = axis["unit"], axis.get("fit")
             scatter = f"{factor * own['std']:.4g}" if own["std"] is not None else "–"
-            cells = [_fitted(fit, name, factor * abs(axis["unit_per_count"] or 1.0)) for name in _TERMS]
+            cells = [_format_coefficient(fit, name, factor * abs(axis["unit_per_count"] or 1.0)) for name in _TERMS]
             rows.append([f"{sensor['name']} {axis['axis']}", unit, scatter, *cells])
     heading = ["axis", "unit", "scatter", "N, unit/√Hz", "B, unit", "K, unit/√s"]
     caption = (
@@ -223,7 +223,7 @@ def _noise_table(result: Mapping[str, Any]) -> Table:
     return Table(heading, rows, caption, (1,))
 
 
-def _fitted(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
+def _format_coefficient(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
     """Return the text of a coefficient with its interval, or its upper limit."""
     term = None if fit is None else fit["terms"].get(name)
     if term is None:

@@ -201,7 +201,7 @@ def write_page(
     from jinja2 import Environment
 
     template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown)
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_escape_controls)
     environment.tests["table"] = lambda part: isinstance(part, Table)
     environment.tests["recording"] = lambda part: isinstance(part, RecordingFigure)
     has_recording = any(isinstance(part, RecordingFigure) for section in sections for part in section.parts)
@@ -215,6 +215,6 @@ def write_page(
     write_text(path, page, force=force)
 
 
-def _shown(value: object) -> object:
+def _escape_controls(value: object) -> object:
     """Escape control characters in text, which may come from a file of another author."""
     return "\n".join(map(printable, value.split("\n"))) if type(value) is str else value

@@ -116,9 +116,9 @@ class RecordingFigure:
                 {
                     "unit": trace.unit,
                     "columns": trace.columns,
-                    "time": _encoded(trace.time_s / unit.seconds),
-                    "low": [_encoded(column) for column in trace.low.T],
-                    "high": [_encoded(column) for column in trace.high.T],
+                    "time": _encode(trace.time_s / unit.seconds),
+                    "low": [_encode(column) for column in trace.low.T],
+                    "high": [_encode(column) for column in trace.high.T],
                     "spans": [(kind, start / unit.seconds, end / unit.seconds) for kind, start, end in trace.spans],
                 }
                 for trace in self.traces
@@ -208,7 +208,7 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
     notes = [_note(clipped, missing, missing_s, before_s, after_s), "rows arrived in bursts" if in_bursts else ""]
     note = "; ".join(filter(None, notes))
     subtitle = f"{sensor.chip}, {sensor.quantity.replace('_', ' ')}"
-    merged = tuple(_merged(spans, (end_s - start_s) / _SEPARATE))
+    merged = tuple(_merge(spans, (end_s - start_s) / _SEPARATE))
     return Trace(sensor.name, subtitle, unit, columns, time_s, low, high, merged, note)
 
 
@@ -262,7 +262,7 @@ def _envelope(
     )
 
 
-def _merged(spans: Sequence[SignalSpan], separate_s: float) -> Iterator[SignalSpan]:
+def _merge(spans: Sequence[SignalSpan], separate_s: float) -> Iterator[SignalSpan]:
     """Yield the spans by kind and in order; spans of one kind that are closer than `separate_s` are joined."""
     for kind in KINDS:
         last: SignalSpan | None = None
@@ -340,7 +340,7 @@ def _outline(across: Floats, top: Floats, bottom: Floats) -> Iterator[str]:
         yield f"M{' '.join([*upper, *reversed(lower)])}Z"
 
 
-def _encoded(values: Floats) -> str:
+def _encode(values: Floats) -> str:
     return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
 
 

@@ -85,7 +85,7 @@ def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tu
     return (
         _figures(figures),
         *_worlds(figures),
-        _missed(figures),
+        _missed_section(figures),
         _alarms(figures, plots),
         _detection(figures, plots),
         _causes(figures, plots),
@@ -103,7 +103,7 @@ def _figures(figures: Figures) -> Section:
     counted = [[name, about] for about, name in _names_by_meaning(figures).items()]
     words = "Each figure with its interval, the number of cases, and the bar, which was set in advance."
     descriptions = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
-    return Section("Figures and their bars", words, [_rows_table(shown, caption), *_by_plan(figures), descriptions])
+    return Section("Figures and their bars", words, [_rows_table(shown, caption), *_plan_tables(figures), descriptions])
 
 
 def _rows_table(rows: Iterable[ScoreRow], caption: str) -> Table:
@@ -132,7 +132,7 @@ def _worlds(figures: Figures) -> Iterator[Section]:
         yield Section("Elsewhere", words, parts)
 
 
-def _by_plan(figures: Figures) -> Iterator[Table]:
+def _plan_tables(figures: Figures) -> Iterator[Table]:
     """Yield a table of the figures that exist for several plans or experiments, if there are any."""
     groups = ("plan", "experiment")
     cells = {row.name: {cell.name: cell for cell in row.cells if cell.group in groups} for row in figures.rows}
@@ -154,7 +154,7 @@ def _names_by_meaning(figures: Figures) -> dict[str, str]:
     return {about: "; ".join(names) for about, names in names_by_meaning.items()}
 
 
-def _missed(figures: Figures) -> Section:
+def _missed_section(figures: Figures) -> Section:
     title = "Where a bar is missed"
     rows = list(failing_rows(figures))
     if not figures.failed:
@@ -227,7 +227,7 @@ def _causes(figures: Figures, plots: Plots) -> Section:
     if not confusion.truths:
         return Section("Causes", f"No cases on {_plan_text(figures)}.")
     parts: Parts = []
-    wrong = _taken_for(figures)
+    wrong = _confusions(figures)
     if "causes" in plots:
         caption = (
             "Active mechanism (rows) against the first reported cause (columns), all severities; numbers"
@@ -243,7 +243,7 @@ def _causes(figures: Figures, plots: Plots) -> Section:
     return Section("Causes", words, parts)
 
 
-def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
+def _confusions(figures: Figures) -> list[tuple[str, str, str]]:
     """Return the active mechanism, the reported cause and the count of each confusion, the most frequent first."""
     confusion = figures.confusion
     confusions = [

@@ -119,13 +119,12 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     elif lacking:
         level, sentence = (
             "doubtful",
-            f"is incomplete: {_listed(lacking)} without a measured bias; biases to {worst_text}",
+            f"is incomplete: {_list_names(lacking)} without a measured bias; biases to {worst_text}",
         )
     elif unscaled:
         level = "doubtful"
-        sentence = (
-            f"is incomplete: {_listed(unscaled)} without a measured scale, which a tumble gives; biases to {worst_text}"
-        )
+        names = _list_names(unscaled)
+        sentence = f"is incomplete: {names} without a measured scale, which a tumble gives; biases to {worst_text}"
     else:
         sentence = f"is good: biases are known to {worst_text}{_turns_wanted(scaled)}"
     thermal = sum(sensor.thermal is not None for sensor in inertial)
@@ -149,12 +148,12 @@ def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
     were hardly turned about some box axes; "" if there are none.
     """
     nominal = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
-    angles = f"; the angles between the axes of {_listed(nominal)} are the data sheet's" if nominal else ""
+    angles = f"; the angles between the axes of {_list_names(nominal)} are the data sheet's" if nominal else ""
     uncertain = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}
     texts = []
     for axes in sorted({axes for axes in uncertain.values() if axes}):
         names = [name for name, uncertain_axes in uncertain.items() if uncertain_axes == axes]
-        texts.append(f"{_listed(names)} about box {', '.join(axes)}")
+        texts.append(f"{_list_names(names)} about box {', '.join(axes)}")
     if not texts:
         return angles
     return f"{angles}; add turns of {' and of '.join(texts)}, to which the response is not fully measured"
@@ -170,7 +169,7 @@ def _worst_bias(sensors: Sequence[SensorCalibration]) -> str:
     return f"{max(errors):.2g} {READABLE[sensors[0].unit][1]}" if errors else ""
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 

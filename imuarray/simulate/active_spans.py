@@ -58,7 +58,7 @@ class _Within(Effect):
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Raise ValueError for an effect that changes the times of readings, which cannot be limited to single rows."""
-        return _mixed(instants, self.effect.sampled(instants, at), self._inside(instants.stamp_ns))
+        return _mix(instants, self.effect.sampled(instants, at), self._inside(instants.stamp_ns))
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
         inside = self._inside(instants.stamp_ns)
@@ -75,11 +75,11 @@ class _Within(Effect):
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         inside = self._inside(at.stamps(analog.first, analog.first + len(analog.instant_ns)))
-        return _mixed(analog, self.effect.analog(analog, at), inside) if inside.any() else analog
+        return _mix(analog, self.effect.analog(analog, at), inside) if inside.any() else analog
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         inside = self._inside(at.stamps(codes.first, codes.first + len(codes.counts)))
-        return _mixed(codes, self.effect.codes(codes, at), inside) if inside.any() else codes
+        return _mix(codes, self.effect.codes(codes, at), inside) if inside.any() else codes
 
     def _inside(self, stamp_ns: Integers) -> Booleans:
         """Return (n,) whether rows with these stamps, ascending, lie within the stretches."""
@@ -90,7 +90,7 @@ class _Within(Effect):
         return inside
 
 
-def _mixed(before: Stage, after: Stage, inside: Booleans) -> Stage:
+def _mix(before: Stage, after: Stage, inside: Booleans) -> Stage:
     """Return the rows of `after` that are `inside`, and those of `before` otherwise."""
     changes: dict[str, Any] = {}
     for item in fields(before):

@@ -93,7 +93,7 @@ def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog])
     if first is None:
         return dict(lines)
     pairs = _pairs(first, len(names))
-    parts = [_of_window(rows, pairs, len(names)) for rows in chain([first], windows)]
+    parts = [_find_in_window(rows, pairs, len(names)) for rows in chain([first], windows)]
     all_delays = [
         _HostDelays(*map(np.concatenate, zip(*of_sensor, strict=True))) for of_sensor in zip(*parts, strict=True)
     ]
@@ -101,7 +101,9 @@ def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog])
         name: delays for number, (name, delays) in enumerate(zip(names, all_delays, strict=True)) if pairs.has(number)
     }
     after_loss = {name: delays.after_loss_ns for name, delays in polled.items()}
-    late = {name: _line(lines[name], delays, _missed(name, lines[name], after_loss)) for name, delays in polled.items()}
+    late = {
+        name: _line(lines[name], delays, _find_missed(name, lines[name], after_loss)) for name, delays in polled.items()
+    }
     return {**lines, **late}
 
 
@@ -163,7 +165,7 @@ def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _FrameRow
     return _FrameRows(*(column[order] for column in columns))
 
 
-def _of_window(rows: _FrameRows, pairs: _SensorPairs, sensors: int) -> list[_HostDelays]:
+def _find_in_window(rows: _FrameRows, pairs: _SensorPairs, sensors: int) -> list[_HostDelays]:
     halves = _halves(rows, pairs)
     late = rows.inner & (halves >= _LEAST_NS)
     is_lost = rows.inner & rows.is_after_loss
@@ -214,7 +216,7 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
     return np.asarray(np.nan_to_num(np.where(np.isfinite(smaller), smaller, np.where(np.isfinite(after), first, last))))
 
 
-def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
+def _find_missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
     """Return the numbers of rows that were lost while every other sensor also lost rows: the host did not read then."""
     other_times = [times for other, times in after.items() if other != name]
     if not isinstance(line, GapFilledTimes) or not other_times:

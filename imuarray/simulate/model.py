@@ -105,7 +105,7 @@ class Model:
             effect
             for kind in EFFECTS
             if kind in parts and kind not in without
-            for effect in self._made(kind, parts[kind], sensor, streams)
+            for effect in self._make_effects(kind, parts[kind], sensor, streams)
         )
 
     def parts(self, sensor: SensorHeader, *, population: bool = False) -> dict[str, Part]:
@@ -122,7 +122,7 @@ class Model:
                 table[key] = [part.to_table() for part in parts]
         return tomli_w.dumps(table)
 
-    def _made(self, kind: str, part: Part, sensor: SensorHeader, streams: Streams) -> Iterator[Effect]:
+    def _make_effects(self, kind: str, part: Part, sensor: SensorHeader, streams: Streams) -> Iterator[Effect]:
         keys, where = spelled(EFFECTS[kind], sensor.unit), f"model {self.name}: sensor {sensor.name}: {kind}"
         for number, recipe in enumerate(part.effects[kind], start=1):
             table = drawn(recipe, keys, kind if number == 1 else f"{kind} {number}", sensor, streams)

@@ -102,7 +102,7 @@ def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dic
     def end(_: int, spread: Spread) -> float:
         return spread.mean + away * spread.reach
 
-    return {key: _filled(figure, _count(spelled.get(key)), end) for key, figure in recipe.items()}
+    return {key: _fill(figure, _count(spelled.get(key)), end) for key, figure in recipe.items()}
 
 
 def drawn(
@@ -112,7 +112,7 @@ def drawn(
     keys of the draws. `spelled` are the effect's parameters by key.
     """
     return {
-        key: _filled(figure, _count(spelled[key]), _draw(spelled[key], effect, sensor, streams))
+        key: _fill(figure, _count(spelled[key]), _draw(spelled[key], effect, sensor, streams))
         for key, figure in recipe.items()
     }
 
@@ -134,7 +134,7 @@ def _spread_of(table: dict[str, Any], where: str) -> Spread:
         raise ConfigError(f"{where}: {complaints(error, table, Spread)}") from None
 
 
-def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -> Any:
+def _fill(figure: Figure, count: int, value: Callable[[int, Spread], float]) -> Any:
     """Return the parameter with `value` of (index, population) in place of populations; a single population is drawn
     `count` times.
     """

@@ -68,8 +68,8 @@ class SlowProcess:
         self._ends = ends
         self._scale = np.array(scale)
         self._piece_knots = max(1, _PIECE_ROWS // spacing)
-        self._knots = lru_cache(maxsize=2)(self._remembered)
-        self._piece = lru_cache(maxsize=3)(self._interpolated)
+        self._knots = lru_cache(maxsize=2)(self._recall_chunk)
+        self._piece = lru_cache(maxsize=3)(self._interpolate)
 
     def rows(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> Reals:
         """Return (stop - first, 3) values for these rows."""
@@ -85,7 +85,7 @@ class SlowProcess:
             np.add(values[begin - first : end - first], rows, out=total[begin - first : end - first])
         return total
 
-    def _interpolated(self, piece: int, dtype: str) -> Reals:
+    def _interpolate(self, piece: int, dtype: str) -> Reals:
         """Return the rows of one piece.
 
         A matrix product turns two adjacent knots of three axes into the rows from the first knot to just before the
@@ -93,7 +93,7 @@ class SlowProcess:
         does not depend on the requested stretch.
         """
         begin = piece * self._piece_knots
-        knots = (self._between(begin, begin + self._piece_knots) * self._scale).astype(dtype)
+        knots = (self._find_knots(begin, begin + self._piece_knots) * self._scale).astype(dtype)
         if self.spacing == 1:
             return np.asarray(knots[:-1])
         pairs = np.concatenate([knots[:-1], knots[1:]], axis=1)
@@ -101,7 +101,7 @@ class SlowProcess:
         rows.flags.writeable = False
         return rows
 
-    def _between(self, begin: int, end: int) -> Floats:
+    def _find_knots(self, begin: int, end: int) -> Floats:
         """Return knots begin ... end. The first knot of a chunk is the end of the one before, which need not be drawn
         for it.
         """
@@ -113,11 +113,13 @@ class SlowProcess:
             parts.append(self._knots(chunk)[max(begin - start, 0) : stop - start])
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def _remembered(self, chunk: int) -> Floats:
+    def _recall_chunk(self, chunk: int) -> Floats:
         """Return the knots (KNOTS + 1, 3) of one chunk, including its end."""
-        return np.asarray(self._inside.recall(("knots", self._recursion, chunk), lambda: self._drawn(chunk)), float)
+        return np.asarray(
+            self._inside.recall(("knots", self._recursion, chunk), lambda: self._draw_chunk(chunk)), float
+        )
 
-    def _drawn(self, chunk: int) -> Floats:
+    def _draw_chunk(self, chunk: int) -> Floats:
         """Return the knots (KNOTS + 1, 3) of one chunk, drawn without regard to its end and corrected to meet it."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)

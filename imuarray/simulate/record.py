@@ -101,7 +101,7 @@ def write_log(
             log.stimulus("truth", simulation.truth(start, min(start + block_rows, frames.rows)))
         rows_done = 0
         silences: list[tuple[int, str]] = []
-        for part in _in_order(_stretches(simulation, block_rows), division.executor, division.workers):
+        for part in _compute_in_order(_stretches(simulation, block_rows), division.executor, division.workers):
             log.append(part.sensor, part.block)
             silences += [(at_ns, part.sensor) for at_ns in part.silent_ns.tolist()]
             written[part.sensor] += len(part.block.time)
@@ -140,7 +140,7 @@ def _part(simulation: Simulation, name: str, start: int, stop: int) -> _Arriving
     return _ArrivingRows(name, sensor.block(start, stop), int((lost >= start).sum()), np.array(silent, np.int64))
 
 
-def _in_order(
+def _compute_in_order(
     work: Iterator[Callable[[], _ArrivingRows]], executor: Executor | None, workers: int
 ) -> Iterator[_ArrivingRows]:
     """Yield the results in the order of the work; a few are computed ahead."""

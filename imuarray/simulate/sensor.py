@@ -132,7 +132,7 @@ class SimulatedSensor:
         self._lookback = (
             1 + 2 * self._is_polled + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         )
-        self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluated)
+        self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluate_chunk)
         self._alone: Callable[[int, int], Block] = self._rows_alone
         self._shared: _SharedSignal | None = None
 
@@ -141,7 +141,7 @@ class SimulatedSensor:
 
         def chunk(number: int, swapped: bool) -> Chunk:
             key = (owner, number, swapped)
-            return memory.recall(key, lambda: self._evaluated(number, swapped), lambda rows: rows.nbytes)
+            return memory.recall(key, lambda: self._evaluate_chunk(number, swapped), lambda rows: rows.nbytes)
 
         def alone(begin: int, end: int) -> Block:
             return memory.recall((owner, "alone", begin, end), lambda: self._rows_alone(begin, end), _bytes_of_rows)
@@ -214,7 +214,7 @@ class SimulatedSensor:
         rate_hz = self.header.rate_hz
         return math.ceil(self.timeline.rows_per_s / rate_hz) + 1 if 0 < rate_hz < self.timeline.rows_per_s else 0
 
-    def _evaluated(self, number: int, swapped: bool) -> Chunk:
+    def _evaluate_chunk(self, number: int, swapped: bool) -> Chunk:
         return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
 
     def _rows_alone(self, begin: int, end: int) -> Block:
@@ -257,7 +257,7 @@ class SimulatedSensor:
                 lambda signal: _bytes_of(*signal),
             )
         _, analog = self._apply_analog(instants, analog, acting[0 if shared is None else shared.effects :])
-        codes = self._coded(analog, instants.phase)
+        codes = self._convert(analog, instants.phase)
         for effect, at in acting[:until]:
             codes = effect.codes(codes, at)
         return instants, codes
@@ -272,7 +272,7 @@ class SimulatedSensor:
         stimulus = self._motion.stimulus(instants.instant_ns)
         for effect, at in acting:
             stimulus = effect.stimulus(stimulus, at)
-        return instants, self._sensed(first, instants, stimulus)
+        return instants, self._sense(first, instants, stimulus)
 
     @staticmethod
     def _apply_analog(
@@ -283,7 +283,7 @@ class SimulatedSensor:
             analog = effect.analog(analog, at)
         return instants, analog
 
-    def _sensed(self, first: int, instants: Instants, stimulus: BoxStimulus) -> Analog:
+    def _sense(self, first: int, instants: Instants, stimulus: BoxStimulus) -> Analog:
         """Return the true quantity along the sensor's axes, before any effect."""
         header, dtype = self.header, self._place.dtype
         vector_box: Reals = getattr(stimulus, _COLUMN[header.quantity])
@@ -304,7 +304,7 @@ class SimulatedSensor:
             instants.rate_hz,
         )
 
-    def _coded(self, analog: Analog, phase: float) -> Codes:
+    def _convert(self, analog: Analog, phase: float) -> Codes:
         thermometer = thermometer_of(self.header)
         temperature = None if thermometer is None else thermometer_counts(thermometer, analog.thermometer_degc)
         counts = converted(analog, self._span)

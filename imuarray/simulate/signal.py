@@ -154,7 +154,7 @@ class Place:
 
         `chunk_rows` are drawn at a time, fewer if few are required; `scale` are the standard deviations.
         """
-        name = (f"all {shared_by}" if shared_by else self.sensor.name, self._numbered(effect), purpose)
+        name = (f"all {shared_by}" if shared_by else self.sensor.name, self._stream_name(effect), purpose)
         return self.kept(
             (name, scale),
             lambda: self.streams.of_boot(*name, width=width, dtype=self.dtype, chunk_rows=chunk_rows, scale=scale),
@@ -162,9 +162,9 @@ class Place:
 
     def boot_generator(self, effect: str, purpose: str = "") -> np.random.Generator:
         """Return a generator for the effect's draws at power-on of this sensor."""
-        return self.streams.of_boot(self.sensor.name, self._numbered(effect), f"boot {purpose}").generator()
+        return self.streams.of_boot(self.sensor.name, self._stream_name(effect), f"boot {purpose}").generator()
 
-    def _numbered(self, effect: str) -> str:
+    def _stream_name(self, effect: str) -> str:
         return effect if self.copy == 1 else f"{effect} {self.copy}"
 
 

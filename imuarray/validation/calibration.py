@@ -119,10 +119,10 @@ def cross_validate(answers: Sequence[Answer]) -> list[Fold]:
                 scores.append(
                     _fold(name, probabilities_of(judged, fit_rates(claims)), [answer.is_right for answer in judged])
                 )
-    return [*scores, *_without_a_part(answers)]
+    return [*scores, *_validate_without_parts(answers)]
 
 
-def _without_a_part(answers: Sequence[Answer]) -> Iterator[Fold]:
+def _validate_without_parts(answers: Sequence[Answer]) -> Iterator[Fold]:
     for group in ("chip", "experiment"):
         for part, own in group_answers(group, answers).items():
             names = {answer.case.name for answer in own}

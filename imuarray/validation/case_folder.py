@@ -104,7 +104,7 @@ def read_case(case: Case) -> tuple[Case, list[Path], dict[str, Any]]:
 
 def write_truth(folder: Path, name: str, truth: Mapping[str, Any]) -> None:
     """Write the truth of the case of that name; ConfigError if it is invalid."""
-    _checked(truth, str(folder / SEALED / name))
+    _check(truth, str(folder / SEALED / name))
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     write_json(folder / SEALED / f"{name}.json", truth)
 
@@ -114,11 +114,11 @@ def _truth(path: Path) -> dict[str, Any]:
         table = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not the truth of a case: {error}") from None
-    _checked(table, str(path))
+    _check(table, str(path))
     return dict(table)
 
 
-def _checked(table: Any, where: str) -> None:
+def _check(table: Any, where: str) -> None:
     for problem in _problems(table):
         raise ConfigError(f"{where}: {problem}")
 

@@ -231,7 +231,7 @@ def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
     if len(planned) > MOST_CASES:
         raise ConfigError(f"{len(planned)} cases are planned; allowed are at most {MOST_CASES}")
     random.Random(first).shuffle(planned)  # a run that is stopped early covers every kind of case
-    place = _in_a_world if size.worlds else _on_the_bench
+    place = _world_case if size.worlds else _plan_case
     return [place(drawn, half, number, first + number) for number, drawn in enumerate(planned)]
 
 
@@ -297,7 +297,7 @@ def _hidden(name: str, resembles: Collection[str], size: Size) -> Iterator[_Draw
             yield from [_DrawnCase("single", plan, (name,), size.severities[-1])] * count
 
 
-def _on_the_bench(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
+def _plan_case(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
     """Return the case on a fixed plan, with sensors drawn by its seed."""
     choose = random.Random(seed)
     sensors = _places(drawn, CHIPS, choose, lambda name, chip: True)
@@ -312,7 +312,7 @@ def _on_the_bench(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case
     return replace(_case(drawn, half, number, seed), puts=puts, extra=extra, chips=dict(CHIPS))
 
 
-def _in_a_world(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
+def _world_case(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
     """Return the case in the first random world of its seed that can show it, with sensors drawn by its seed."""
     choose = random.Random(seed)
     for attempt in range(MOST_WORLDS):

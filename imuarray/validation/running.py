@@ -208,11 +208,11 @@ def run_cases(
     if len({case.name for case in cases}) < len(cases):
         raise ValueError("two cases have one name")
     _make_folders(folder)
-    todo = _unfinished(cases, folder, again)
+    todo = _find_unfinished(cases, folder, again)
     before = len(cases) - len(todo)
     states: dict[str, State] = {}
     try:
-        with closing(_finished(todo, executor or InlineExecutor(), job, folder)) as worked:
+        with closing(_run_until_finished(todo, executor or InlineExecutor(), job, folder)) as worked:
             progress(before)
             for case, state in worked:
                 states[case.name] = state
@@ -234,7 +234,7 @@ def _make_folders(folder: Path) -> None:
         mark.unlink()
 
 
-def _unfinished(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
+def _find_unfinished(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
     """Return the cases without an outcome. With `again` an outcome with an error is deleted first."""
     todo = []
     for case in cases:
@@ -247,7 +247,7 @@ def _unfinished(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
     return todo
 
 
-def _finished(
+def _run_until_finished(
     cases: Sequence[Case], workers: Workers, job: Job, folder: Path
 ) -> Generator[tuple[Case, State], None, None]:
     """Yield each case when it finishes. No more are submitted than run in parallel, so that few are lost on exit."""
@@ -315,18 +315,18 @@ def _finish(case: Case, folder: Path, error: str) -> State:
     if error:
         write_json(_outcome(case, folder), asdict(Outcome(case.name, {}, {}, 0.0, error)))
     _mark(folder, case).unlink(missing_ok=True)
-    return _of_error(error)
+    return _error_state(error)
 
 
 def _state(case: Case, folder: Path) -> State | None:
     """Return the state from the outcome file; None if there is no readable file."""
     try:
-        return _of_error(json.loads(_outcome(case, folder).read_text())["error"])
+        return _error_state(json.loads(_outcome(case, folder).read_text())["error"])
     except (FileNotFoundError, ValueError):
         return None
 
 
-def _of_error(error: str) -> State:
+def _error_state(error: str) -> State:
     return "lost" if error == LOST else "failed" if error else "done"
 
 

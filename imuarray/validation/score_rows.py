@@ -564,7 +564,7 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Sc
     )
     own = [answer for answer in on_plan(answers, full) if answer.is_detected()]
     yield _wrong(own, seed)
-    yield _without(own, seed)
+    yield _withheld_row(own, seed)
     controls = [answer for answer in answers if answer.case.kind == "none"]
     about = "no fault: no closure is reported, or its interval contains 0"
     yield rate_row("without a gap, closure may be 0", controls, is_empty, EMPTY, about, Breakdown(full, ()))
@@ -646,7 +646,7 @@ def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
     return make_row("closure claimed for a wrong cause", bootstrap(np.mean, claims, seed=seed), WRONG, about)
 
 
-def _without(answers: Sequence[Answer], seed: int) -> ScoreRow:
+def _withheld_row(answers: Sequence[Answer], seed: int) -> ScoreRow:
     """Return the mean share that causes claim to close if the right cause is withheld from the library. The figure for
     reported wrong causes, in contrast, includes only cases in which the right cause was available.
     """

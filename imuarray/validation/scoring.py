@@ -250,15 +250,15 @@ def score(
             *time_rows(own, full, seed),
         )
 
-    elsewhere = {name: _with_bars(rows_of(own), name) for name, own in worlds.items() if name != world}
-    rows = _with_bars(rows_of(answers), world) if world in BARS_ELSEWHERE else rows_of(answers)
+    elsewhere = {name: _set_bars(rows_of(own), name) for name, own in worlds.items() if name != world}
+    rows = _set_bars(rows_of(answers), world) if world in BARS_ELSEWHERE else rows_of(answers)
     return Figures(
         run.plan,
         full,
         len(run.answers) + len(run.lost),
         run.lost,
         run.notes,
-        (*rows, _lost(run)),
+        (*rows, _lost_row(run)),
         curves_of(answers, hidden),
         power_of(answers, full),
         confusion_of(answers, full),
@@ -275,7 +275,7 @@ def _order(world: str) -> tuple[int, str]:
     return {"emulator": 0, "": 1}.get(world, 2), world
 
 
-def _with_bars(rows: Iterable[ScoreRow], world: str) -> tuple[ScoreRow, ...]:
+def _set_bars(rows: Iterable[ScoreRow], world: str) -> tuple[ScoreRow, ...]:
     """Return the rows, and their cells, with the bars of another world."""
     bars = BARS_ELSEWHERE.get(world, {})
     barred = []
@@ -394,6 +394,6 @@ def _format_line(mark: str, name: str, value: str, interval: str, cases: str, ba
     return f"{mark:<5}{name:<48.48}{value:>8}  {interval:>16}{cases:>8}  {bar}"
 
 
-def _lost(run: ValidationRun) -> ScoreRow:
+def _lost_row(run: ValidationRun) -> ScoreRow:
     share = rate(len(run.lost), len(run.answers) + len(run.lost))
     return make_row("cases lost", share, NO_BAR, "no outcome, or one with an error: in no other figure")

@@ -127,7 +127,7 @@ def matched_statistic(plain: Sequence[Log], changed: Sequence[Log], has_track: b
     for name in inertial:
         is_motion_known = has_track or [quantities[other] for other in inertial].count(quantities[name]) > 1
         pairs = [_LogPair(log, other, name) for log, other in zip(plain, changed, strict=True) if name in log.sensors]
-        largest = max([largest, *_of_sensor(pairs, is_motion_known)])
+        largest = max([largest, *_sensor_statistics(pairs, is_motion_known)])
     return largest
 
 
@@ -262,7 +262,7 @@ def _share_drawn_anew(plain: Floats, changed: Floats, quiet: Booleans) -> float:
     return float(np.clip(np.max(scatter[0] ** 2 / np.maximum(2 * scatter[1] ** 2, 0.5)), 0.0, 1.0))
 
 
-def _of_sensor(pairs: Sequence[_LogPair], is_motion_known: bool) -> Iterator[float]:
+def _sensor_statistics(pairs: Sequence[_LogPair], is_motion_known: bool) -> Iterator[float]:
     used = [pair for pair in pairs if pair.rows >= 4]
     if not used:
         yield inf if any(len(pair.time) for pair in pairs) else 0.0

@@ -240,7 +240,7 @@ def _choice(even: float, shares: Mapping[str, float]) -> str:
     return list(shares)[-1]
 
 
-def _between(random: np.random.Generator, bounds: tuple[float, float]) -> float:
+def _draw_between(random: np.random.Generator, bounds: tuple[float, float]) -> float:
     """Draw log-uniformly, rounded to three digits."""
     low, high = np.log(bounds)
     return float(f"{math.exp(random.uniform(low, high)):.3g}")
@@ -343,7 +343,7 @@ def _lengths(
 ) -> dict[str, float]:
     """Return the duration of each experiment, s: the usual one, shortened as the limits of time and rows demand."""
     short = even < 0.3
-    usual = {kind: _LEAST_S[kind] if short else _between(random, _USUAL_S[kind]) for kind in kinds}
+    usual = {kind: _LEAST_S[kind] if short else _draw_between(random, _USUAL_S[kind]) for kind in kinds}
     most_s = min(MOST_SECONDS, MOST_ROWS / sum(rates.values()))
     least_s = sum(_LEAST_S[kind] for kind in kinds)
     over = sum(usual.values()) - least_s
@@ -458,7 +458,7 @@ def _motion(seconds: float, random: np.random.Generator, even: Mapping[str, floa
     motions = []
     for start_s, end_s in itertools.pairwise(edges):
         axis = random.standard_normal(3)
-        rock_hz = _between(random, (0.3, 2.0))
+        rock_hz = _draw_between(random, (0.3, 2.0))
         motions.append(
             {
                 "start_s": start_s,
@@ -467,7 +467,7 @@ def _motion(seconds: float, random: np.random.Generator, even: Mapping[str, floa
                 "angle_rad": min(float(random.uniform(0.2, 0.9)), limits.rate / (2 * math.pi * rock_hz)),
                 "rock_hz": rock_hz,
                 "peak_g": min(float(random.uniform(0.0, 0.4)), limits.force_g),
-                "shake_hz": _between(random, (1.0, 7.0)),
+                "shake_hz": _draw_between(random, (1.0, 7.0)),
             }
         )
     phases = [[0.0, still_s, "static", face], [edges[0], edges[-1], "motion", ""], [edges[-1], seconds, "static", face]]
@@ -493,8 +493,8 @@ def _label(session: Table, labels: str, random: np.random.Generator) -> Table:
 
 def _recorder(even: Mapping[str, float], rate_hz: float, random: np.random.Generator) -> Table:
     busy, gaps = even["recorder"] < 0.4, even["gaps"] < 0.25
-    share, mean_ms = _between(random, BUSY_SHARE), _between(random, BUSY_MS)
-    per_min, stall_s = _between(random, STALLS_PER_MIN), _between(random, STALL_S)
+    share, mean_ms = _draw_between(random, BUSY_SHARE), _draw_between(random, BUSY_MS)
+    per_min, stall_s = _draw_between(random, STALLS_PER_MIN), _draw_between(random, STALL_S)
     return {
         "rate_hz": rate_hz,
         "share": share if busy else 0.0,
@@ -511,8 +511,8 @@ _VIBRATIONS = {"none": 0.5, "fridge": 0.25, "fan": 0.25}
 
 def _room(even: Mapping[str, float], random: np.random.Generator) -> Table:
     kind = _choice(even["vibration"], _VIBRATIONS)
-    drift, swings = float(random.uniform(-1, 1)) * DRIFT_DEGC_PER_H / 3600, _between(random, DRAUGHT_DEGC)
-    peak_g, direction = _between(random, VIBRATION_G), random.standard_normal(3)
+    drift, swings = float(random.uniform(-1, 1)) * DRIFT_DEGC_PER_H / 3600, _draw_between(random, DRAUGHT_DEGC)
+    peak_g, direction = _draw_between(random, VIBRATION_G), random.standard_normal(3)
     hz = float(random.uniform(24.0, 25.0) if kind == "fridge" else random.uniform(15.0, 60.0))
     vibrations = []
     if kind != "none":

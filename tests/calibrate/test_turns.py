@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from imuarray.calibrate import TumbleResult, calibrate_tumble
-from imuarray.calibrate.turns import TOLERANCE, _missed, _Turn
+from imuarray.calibrate.turns import TOLERANCE, _integrate_turn, _Turn
 from imuarray.log import open_log
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Misalignment, Scale
@@ -145,7 +145,7 @@ def test_rates_are_integrated_as_linear_between_readings() -> None:
         attitude = attitude * Rotation.from_rotvec(rate * 0.02 / 50)
     for up in np.eye(3):
         turn = _Turn("a to b", "", 0, np.full(39, 0.02), rates, up, attitude.inv().apply(up), 1.0)
-        assert np.abs(_missed(turn, np.eye(3)).missed).max() < 3e-6
+        assert np.abs(_integrate_turn(turn, np.eye(3)).missed).max() < 3e-6
 
 
 def test_coning_motion_is_integrated() -> None:
@@ -158,7 +158,7 @@ def test_coning_motion_is_integrated() -> None:
     rates = 2 * np.pi * (made.inv().apply([0.0, 0.0, 1.0]) - [0.0, 0.0, 1.0])
     for up in np.eye(3):
         turn = _Turn("", "", 0, np.full(280, 1 / 400), rates, made[0].inv().apply(up), made[-1].inv().apply(up), 1.0)
-        assert np.abs(_missed(turn, np.eye(3)).missed).max() < 2 * (2 * np.pi / 400) ** 2 / 12 * around[-1] / 2
+        assert np.abs(_integrate_turn(turn, np.eye(3)).missed).max() < 2 * (2 * np.pi / 400) ** 2 / 12 * around[-1] / 2
 
 
 def test_too_few_turns_keep_the_data_sheet_response(write_log: WriteLog) -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from imuarray.characterise.lines import FALSE_ALARM, find_bands, find_lines
-from imuarray.characterise.result import _with_harmonics
+from imuarray.characterise.result import _add_fundamentals
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 
 RATE_HZ = 100.0
@@ -86,5 +86,5 @@ def test_harmonics_name_their_fundamental() -> None:
     def line(frequency_hz: float) -> dict[str, float | None]:
         return {"frequency_hz": frequency_hz, "frequency_error_hz": 0.005}
 
-    result = _with_harmonics([line(15.7), line(31.41), line(40.0), line(47.09)], 0.024)
+    result = _add_fundamentals([line(15.7), line(31.41), line(40.0), line(47.09)], 0.024)
     assert [one["fundamental_hz"] for one in result] == [None, 15.7, None, 15.7]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.characterise.lines import _joined_medians
+from imuarray.characterise.lines import _join_medians
 
 
 @pytest.mark.parametrize(("last", "widest"), [(64, 8), (257, 16), (2048, 32)])
@@ -22,4 +22,4 @@ def test_joined_medians_equal_those_of_each_bin(last: int, widest: int) -> None:
         low, high = np.median(height[below]), np.median(height[above])
         left, right = np.log(below).mean(), np.log(above).mean()
         wanted.append(low + (high - low) * (np.log(at) - left) / (right - left))
-    np.testing.assert_allclose(_joined_medians(height, bins, last), wanted, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(_join_medians(height, bins, last), wanted, rtol=1e-12, atol=1e-13)

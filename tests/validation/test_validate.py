@@ -84,7 +84,7 @@ def test_without_a_folder_a_new_one_is_made(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(running, "run_cases", run)
-    monkeypatch.setattr(gap_validate, "_scored", score)
+    monkeypatch.setattr(gap_validate, "_score", score)
     words = ["gap", "validate", "--size", "glance", "--effects", "tone", "--severities", "2,5", "--repeats", "2"]
     assert main(words) == 2
     assert main(words) == 2

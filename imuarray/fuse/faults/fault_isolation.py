@@ -298,7 +298,7 @@ class FaultIsolation:
 
     def _residuals(self, window: DecisionWindow) -> WindowResiduals | None:
         """Return the residuals of the window by the axes in use; report once if these can't check each other."""
-        seen = self._seen_by(~self.out, window)
+        seen = self._residuals_by(~self.out, window)
         if (
             self._out
             and self._out[-1].named
@@ -309,7 +309,7 @@ class FaultIsolation:
             self.report.blind(self._out[-1].sensor, int(window.time[0]))
         return seen
 
-    def _seen_by(self, included: Booleans, window: DecisionWindow) -> WindowResiduals | None:
+    def _residuals_by(self, included: Booleans, window: DecisionWindow) -> WindowResiduals | None:
         """Return the residuals of the window by the axes `included`."""
         return window_residuals(window, self._normal, self._rows, window.present & included, self._spaces)
 
@@ -328,7 +328,7 @@ class FaultIsolation:
         self._out.append(exclusion)
         for axis in axes if drifted else ():
             self._baseline.reset(axis, self._normal)
-        seen = None if window is None else self._seen_by(~out, window)
+        seen = None if window is None else self._residuals_by(~out, window)
         if window is not None and seen is not None:
             exclusion.first = self._kind(exclusion.sensor, exclusion.axes, drifted, seen, window)
         return True
@@ -375,7 +375,7 @@ class FaultIsolation:
         if count == _DOUBTFUL_WINDOWS:
             others = ~self.out
             others[list(suspect.axes)] = False
-            by_others = self._seen_by(others, window) or seen
+            by_others = self._residuals_by(others, window) or seen
             kind = self._kind(sensor, suspect.axes, drifted, by_others, window)
             self.report.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
         doubted = np.zeros(len(self._axes), bool)

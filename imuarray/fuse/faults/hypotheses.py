@@ -142,11 +142,11 @@ def fault_kind(view: TriadComparison, which: Sequence[int], reset: tuple[float, 
     noise = view.noise[chosen]
     scatter = float((about**2).mean(axis=0).max() ** 0.5 / noise.max())
     if abs(size) * np.sqrt(len(off)) < 6 * scatter * noise.max() and scatter > 2:
-        return _scattered(off, noise, scatter)
-    return _by_scale(view, chosen, about) or FaultKind("bias", size)
+        return _scatter_fault(off, noise, scatter)
+    return _scale_fault(view, chosen, about) or FaultKind("bias", size)
 
 
-def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> FaultKind | None:
+def _scale_fault(view: TriadComparison, chosen: Sequence[int], about: Floats) -> FaultKind | None:
     """Return a fault of scale if it explains a window much better than a bias; else None."""
     expected, own = view.expected[:, chosen], view.own[:, chosen]
     power = (expected**2).sum(axis=0)
@@ -159,7 +159,7 @@ def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> Fa
     )
 
 
-def _scattered(off: Floats, noise: Floats, scatter: float) -> FaultKind:
+def _scatter_fault(off: Floats, noise: Floats, scatter: float) -> FaultKind:
     """Distinguish glitches, which leave most readings as usual, from noise."""
     about = np.abs(off - np.median(off, axis=0))
     if (np.quantile(about, _LOW, axis=0) < _USUAL * _LOW_SIGMAS * noise).all():
@@ -216,8 +216,8 @@ def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 
     if max(by_mean, by_energy) < 1:
         return None
     if by_energy > by_mean:
-        return _by_energy(energy, limit)
-    return _by_mean(axis, sensor, seen)
+        return _energy_suspect(energy, limit)
+    return _mean_suspect(axis, sensor, seen)
 
 
 _FEWEST_SENSORS = 4
@@ -304,7 +304,7 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     return np.asarray((1 - lasting) * by_noise + lasting * frames * AXIS_GAIN)
 
 
-def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
+def _mean_suspect(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
     """Return the hypothesis for the means: the sensor with the greatest gain, or its one axis with nearly all of that
     gain.
     """
@@ -317,7 +317,7 @@ def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
     return Suspect(axes, gain, "mean", _rivals(sensor, best, gain))
 
 
-def _by_energy(energy: Floats, limit: Floats) -> Suspect:
+def _energy_suspect(energy: Floats, limit: Floats) -> Suspect:
     """Return the hypothesis for the scatter: the sensor with the noisiest axis, and its axes beyond the limit."""
     per_sensor = (energy / limit).reshape(-1, 3).max(axis=1)
     best = int(per_sensor.argmax())

@@ -184,7 +184,7 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
         bounds = Bounds(ends, np.asarray(bounds_at, float))
         valid = valid & (ends == 0)
     if frames.stale is not None and (valid & frames.stale).any():
-        valid = _without_stale(valid, frames.stale, geometry)
+        valid = _drop_stale(valid, frames.stale, geometry)
     whole = bool(valid.all())
     values = frames.values if whole else np.where(valid, frames.values, 0.0)
     return FrameReadings(frames.time, values, valid, bounds, whole or bool((valid == valid[:1]).all()))
@@ -207,7 +207,7 @@ def _any_beyond(values: Floats, limits: Floats) -> bool:
     return len(values) > 0 and not bool(((values.max(axis=0) <= limits) & (values.min(axis=0) >= -limits)).all())
 
 
-def _without_stale(valid: Booleans, stale: Booleans, geometry: Geometry) -> Booleans:
+def _drop_stale(valid: Booleans, stale: Booleans, geometry: Geometry) -> Booleans:
     fresh = valid & ~stale
     for pattern, pattern_frames in patterns(fresh):
         if not geometry.spans(pattern):

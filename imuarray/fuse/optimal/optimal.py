@@ -168,9 +168,9 @@ class BiasTemperature:
         """Return the function from a frame of a block, with temperatures `degc` (n,) by sensor, to the temperatures
         (r,) above those of the biases; it must be called for frames in order.
         """
-        return lambda frame: self._at({sensor: float(column[frame]) for sensor, column in degc.items()})
+        return lambda frame: self._temperatures_at({sensor: float(column[frame]) for sensor, column in degc.items()})
 
-    def _at(self, degc: Mapping[str, float]) -> Floats:
+    def _temperatures_at(self, degc: Mapping[str, float]) -> Floats:
         if not degc:
             return self._warmer.copy()
         now = np.array([degc.get(sensor, np.nan) for sensor in self._sensors])
@@ -212,7 +212,7 @@ class Optimal:
     def __call__(self, frames: Mapping[str, Frames], degc: Temperatures | None = None) -> dict[str, Estimate]:
         """Estimate the next frames, of both quantities at the same times, with the information of earlier frames."""
         self._latest = self._groups
-        solutions = _solved(self._groups, frames, degc or _NONE)
+        solutions = _solve_groups(self._groups, frames, degc or _NONE)
         self.angular_acceleration = _acceleration(solutions)
         return {quantity: self._groups[quantity].estimate(solutions[quantity], frames[quantity]) for quantity in frames}
 
@@ -238,11 +238,11 @@ class Optimal:
             for group in groups.values():
                 spools.callback(group.close)
             for frames, degc in blocks():
-                _solved(groups, frames, degc or _NONE)
+                _solve_groups(groups, frames, degc or _NONE)
             for group in groups.values():
                 group.turn_back()
             for frames, _ in blocks():
-                solutions = _solved(groups, frames, _NONE)
+                solutions = _solve_groups(groups, frames, _NONE)
                 self.angular_acceleration = _acceleration(solutions)
                 time = next(iter(frames.values())).time
                 yield (
@@ -300,7 +300,7 @@ class _Group:
         if self.lever is not None:
             readings = self.lever(readings, np.full((len(frames.time), 3), np.nan) if rate is None else rate)
         if self._other_ends is not None:
-            return self._with_views(readings, self._other_ends)
+            return self._solve_by_views(readings, self._other_ends)
         element_degc = degc if self.filter.states.follow_temperature else _NONE
         return self.filter(readings, self._bias_temperature.of(element_degc))
 
@@ -338,7 +338,7 @@ class _Group:
         if self._recorder is not None:
             self._recorder.close()
 
-    def _with_views(self, readings: FrameReadings, segments: SegmentEnds) -> FrameSolution:
+    def _solve_by_views(self, readings: FrameReadings, segments: SegmentEnds) -> FrameSolution:
         solution = FrameSolution.empty(len(readings.time), self._geometry)
         for frames, starts, _ in segments.parts(len(readings.time)):
             part = readings.part(frames)
@@ -351,7 +351,9 @@ class _Group:
         return solution
 
 
-def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Temperatures) -> dict[str, FrameSolution]:
+def _solve_groups(
+    groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Temperatures
+) -> dict[str, FrameSolution]:
     """Solve the frames of all groups; angular rate first, because the specific force away from the origin needs it."""
     solutions: dict[str, FrameSolution] = {}
     for quantity, group in groups.items():

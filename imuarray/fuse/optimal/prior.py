@@ -183,10 +183,10 @@ def error_model(
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
         own_slopes = slopes * np.sqrt(1 - usual.common_share)
-        for index, errors in enumerate(_of_sensor(parameters, usual, own_slopes, has_temperature)):
+        for index, errors in enumerate(_sensor_errors(parameters, usual, own_slopes, has_temperature)):
             wander = 0.0 if parameters.drift is not None else usual.drift_share * errors.noise
             slope = 0.0 if parameters.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
-            shared = _of_design(wander, slope, has_temperature)
+            shared = _design_errors(wander, slope, has_temperature)
             axes[sensor.name, index] = replace(
                 errors,
                 timing_s=timing_s,
@@ -194,7 +194,7 @@ def error_model(
                 shares_slope=shared.slope_per_degc > 0,
             )
             place = (sensor.chip, index)
-            designs[place] = _of_both(designs[place], shared) if place in designs else shared
+            designs[place] = _common_errors(designs[place], shared) if place in designs else shared
         if parameters.bias_covariance_lsb2 is not None:
             covariances[sensor.name] = parameters.bias_covariance_lsb2 / np.outer(
                 parameters.lsb_per_si, parameters.lsb_per_si
@@ -207,7 +207,7 @@ def error_model(
     )
 
 
-def _of_design(wander: float, slope: float, has_temperature: bool) -> DesignErrors:
+def _design_errors(wander: float, slope: float, has_temperature: bool) -> DesignErrors:
     """Return the common errors of a design, which are not measured: the common wander is assumed as large as that of a
     single unit. Measured errors of a unit include the common ones, and nothing is added.
     """
@@ -216,14 +216,14 @@ def _of_design(wander: float, slope: float, has_temperature: bool) -> DesignErro
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
 
 
-def _of_both(first: DesignErrors, second: DesignErrors) -> DesignErrors:
+def _common_errors(first: DesignErrors, second: DesignErrors) -> DesignErrors:
     """Return the common errors of two units: the smaller wander above zero, and the steeper slope."""
     wandering = [design for design in (first, second) if design.common > 0] or [first]
     slope = max(first.slope_per_degc, second.slope_per_degc)
     return replace(min(wandering, key=lambda design: design.common), slope_per_degc=slope)
 
 
-def _of_sensor(
+def _sensor_errors(
     parameters: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, has_temperature: bool
 ) -> list[AxisErrors]:
     """Return the errors of the three axes of one sensor; `slopes_per_degc` are their own if none were measured."""
@@ -279,15 +279,15 @@ def _bias(parameters: SensorCalibration, usual: DesignDefaults, noise: Floats, d
     turn_on, states = usual.turn_on_share * noise, np.zeros(3)
     if parameters.turn_on is not None:
         turn_on = np.hypot(parameters.turn_on.rms_lsb, parameters.turn_on.rms_sem_lsb) / parameters.lsb_per_si
-        states = _between_states(parameters.turn_on) / parameters.lsb_per_si**2
+        states = _state_variance(parameters.turn_on) / parameters.lsb_per_si**2
     gravity = np.full(3, usual.g_sensitivity)
     if parameters.g_sensitivity_sem_lsb_per_g is not None:
         gravity = np.sqrt(np.mean(parameters.g_sensitivity_sem_lsb_per_g**2, axis=1)) / parameters.lsb_per_si
-    at_calibration = (turn_on**2 + drift**2) * _of_calibration(parameters)
+    at_calibration = (turn_on**2 + drift**2) * _calibration_share(parameters)
     return np.asarray(np.sqrt(measured**2 + turn_on**2 + at_calibration + states + gravity**2))
 
 
-def _of_calibration(parameters: SensorCalibration) -> float:
+def _calibration_share(parameters: SensorCalibration) -> float:
     """Return the share of the variance between switch-ons in a calibrated bias: 1 over the number of logs, each of
     which began with a switch-on; 0 for a bias that was not measured in logs.
     """
@@ -295,7 +295,7 @@ def _of_calibration(parameters: SensorCalibration) -> float:
     return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
 
 
-def _between_states(turn_on: TurnOn) -> Floats:
+def _state_variance(turn_on: TurnOn) -> Floats:
     """Return the variance (3,) in counts of the change of state between two random runs."""
     if len(turn_on.states) < 2:
         return np.zeros(3)

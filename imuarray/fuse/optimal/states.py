@@ -171,7 +171,7 @@ def smoothed_drifts(
     """
     response = steps[0].response
     if compiled.COMPILED and all(step.response is response for step in steps):
-        smoothed = _smoothed_alike(belief, steps, later, drifting)
+        smoothed = _smooth_alike(belief, steps, later, drifting)
         if smoothed is not None:
             return smoothed
     beliefs: list[Gaussian] = []
@@ -186,7 +186,7 @@ def smoothed_drifts(
     return drifts[::-1], later
 
 
-def _smoothed_alike(
+def _smooth_alike(
     belief: Gaussian, steps: Sequence[StateStep], later: Adjoint, drifting: Booleans
 ) -> tuple[list[Drift], Adjoint] | None:
     """Return the result for steps with the same response by compiled code; None if that is not possible."""
@@ -273,8 +273,8 @@ class _State(NamedTuple):
 def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> ErrorStates:
     """Return the states of `axes`; `others` further rows follow them, on which they have no effect."""
     errors = model.of(axes)
-    result = [state for index in range(len(axes)) for state in _of_axis(axes, errors, model, index)]
-    result += _of_designs(axes, model)
+    result = [state for index in range(len(axes)) for state in _axis_states(axes, errors, model, index)]
+    result += _design_states(axes, model)
     rows = {kind: np.zeros((len(axes) + others, len(result))) for kind in ("steady", "thermal", "X", "Y", "Z")}
     for column, state in enumerate(result):
         rows[state.kind][list(state.members), column] = 1.0
@@ -289,7 +289,7 @@ def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> Error
     )
 
 
-def _of_axis(axes: Sequence[Axis], errors: Sequence[AxisErrors], model: ErrorModel, index: int) -> list[_State]:
+def _axis_states(axes: Sequence[Axis], errors: Sequence[AxisErrors], model: ErrorModel, index: int) -> list[_State]:
     axis, error = axes[index], errors[index]
     calibrated = model.bias_covariances.get(axis.sensor)
     together = model.response_covariances.get(axis.sensor)
@@ -309,7 +309,7 @@ def _of_axis(axes: Sequence[Axis], errors: Sequence[AxisErrors], model: ErrorMod
     return [state for state in states if state.spread > 0]
 
 
-def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
+def _design_states(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
     members: dict[tuple[str, int], list[int]] = {}
     for index, axis in enumerate(axes):
         members.setdefault((axis.chip, axis.index), []).append(index)

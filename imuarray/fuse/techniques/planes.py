@@ -172,7 +172,7 @@ def plane_weights(axes: Sequence[Axis]) -> Floats:
     for chip in {axis.chip for axis in axes}:
         stability = _stability(axes, chip)
         error = noise**2 if stability is None else noise**2 / AVERAGED + stability**2
-        share = _shares(_by_kind(axes, error, chip), _by_kind(axes, noise**2, chip))
+        share = _shares(_kind_means(axes, error, chip), _kind_means(axes, noise**2, chip))
         for index, axis in enumerate(axes):
             if axis.chip == chip:
                 weights[index] = share[axis.in_plane]
@@ -204,7 +204,7 @@ def _stability(axes: Sequence[Axis], chip: str) -> Floats | None:
     return np.array([(axis.stability_si or 0.0) if axis.chip == chip else 0.0 for axis in axes])
 
 
-def _by_kind(axes: Sequence[Axis], square: Floats, chip: str) -> dict[bool, float]:
+def _kind_means(axes: Sequence[Axis], square: Floats, chip: str) -> dict[bool, float]:
     """Return the mean squares of in-plane and out-of-plane axes of a design, relative to the mean of each triad."""
     relative: dict[bool, list[float]] = {}
     for index, axis in enumerate(axes):

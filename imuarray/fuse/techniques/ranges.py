@@ -134,7 +134,7 @@ class Fading:
         at_end = np.asarray((level >= TAPER[1]) | beyond)
         if frames.clipped is not None:
             at_end |= (frames.clipped != 0).reshape(count, -1, 3).any(axis=2)
-        inside = np.minimum(_smooth((TAPER[1] - level) / (TAPER[1] - TAPER[0])), self._settled(frames, at_end))
+        inside = np.minimum(_smooth((TAPER[1] - level) / (TAPER[1] - TAPER[0])), self._settling_factor(frames, at_end))
         share = np.where(self.fades, np.where(at_end, 0.0, inside), 1.0)
         return np.asarray(share.repeat(3, axis=1))
 
@@ -148,7 +148,7 @@ class Fading:
         ends = np.where(fades, self._span, np.inf).repeat(3)
         return not ((np.abs(frames.values) > TAPER[0] * ends).any() or (np.abs(expected) > ends).any())
 
-    def _settled(self, frames: Frames, at_end: Booleans) -> Floats:
+    def _settling_factor(self, frames: Frames, at_end: Booleans) -> Floats:
         """Return the factor (n, s): 0 while a sensor settles, then rising to 1."""
         before = np.concatenate([self._was_at_end[None], at_end[:-1]])
         times = np.concatenate([frames.time[:1] if self._last_ns is None else self._last_ns, frames.time])
@@ -203,10 +203,10 @@ class Blends:
         key = present.tobytes()
         if key not in self._known:
             spans = present.any() and np.linalg.matrix_rank(self._rows[present], tol=1e-3) == 3
-            self._known[key] = self._of(present) if spans else None
+            self._known[key] = self._make_blend(present) if spans else None
         return self._known[key]
 
-    def _of(self, present: npt.NDArray[np.bool_]) -> Blend:
+    def _make_blend(self, present: npt.NDArray[np.bool_]) -> Blend:
         gain = whole_gain(self._weights * present, self._rows)
         through = self._rows @ gain
         apart = (np.eye(len(through)) - through) * present[:, None] * present
@@ -508,14 +508,14 @@ def _track(
             # The residual is against the blend of the axes present, which differs from that of all as known before.
             shift = blend.level(difference) - difference
             residual = residual + (products @ shift[:, :, None])[..., 0]
-            gain, covariance = _updated(covariance, products * weights[:, None, None], moved)
+            gain, covariance = _update(covariance, products * weights[:, None, None], moved)
             difference = difference + (gain @ (residual * weights[:, None])[:, :, None])[..., 0]
         differences.append(difference)
         covariances.append(covariance)
     return np.array(differences), np.array(covariances)
 
 
-def _updated(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:
+def _update(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:
     """Return the gains (m, 3, 3) and the updated covariances (m, 3, 3).
 
     For an axis that has not `moved` (m,) only the bias is estimated, with scale and delay uncertain (Schmidt's filter),

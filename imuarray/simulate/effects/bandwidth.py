@@ -92,18 +92,18 @@ class Bandwidth(Effect):
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self.decay(at.rows_per_s)
-        value = self._passed(analog.value, decay)
+        value = self._filter_signal(analog.value, decay)
         if self.signal_only:
             return replace(analog, value=value)
         if not 0 < analog.rate_hz < SEVERAL_SAMPLES * at.rows_per_s:
-            return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
+            return replace(analog, value=value, noise=self._filter_noise(analog.noise, decay))
         steps_ns = np.diff(analog.instant_ns)
         samples = np.where(steps_ns > 0, np.maximum(np.rint(steps_ns * 1e-9 * analog.rate_hz), 1), 0).astype(int)
         if (samples == 1).all():
-            return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
-        return replace(analog, value=value, noise=self._of_every_sample(analog, samples, at))
+            return replace(analog, value=value, noise=self._filter_noise(analog.noise, decay))
+        return replace(analog, value=value, noise=self._filter_samples(analog, samples, at))
 
-    def _of_every_sample(self, analog: Analog, samples: Integers, at: Place) -> Reals:
+    def _filter_samples(self, analog: Analog, samples: Integers, at: Place) -> Reals:
         """Return the noise (n, 3) of rows whose intervals are `samples` (n - 1,) of the chip: 0 repeats the previous
         sample; with 2 or more, no row reads the samples in between.
         """
@@ -121,9 +121,9 @@ class Bandwidth(Effect):
             unread = unread * np.broadcast_to(np.asarray(analog.white_rms, unread.dtype), analog.noise.shape)[:, None]
             white[~is_read] = unread[np.arange(most) < (steps - 1)[:, None]]
         decay = self.decay(at.rows_per_s) * at.rows_per_s / analog.rate_hz
-        return np.ascontiguousarray(self._coloured(white, decay)[places])
+        return np.ascontiguousarray(self._filter_noise(white, decay)[places])
 
-    def _coloured(self, white: Reals, decay: float) -> Reals:
+    def _filter_noise(self, white: Reals, decay: float) -> Reals:
         """Return the noise (n, 3) after the filter; consecutive samples are `decay` time constants apart."""
         from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
@@ -135,7 +135,7 @@ class Bandwidth(Effect):
         noise, _ = lfilter(numerator, denominator, white.astype(float), axis=0, zi=first)
         return np.asarray(self.noise_share * noise, white.dtype)
 
-    def _passed(self, value: Reals, decay: float) -> Reals:
+    def _filter_signal(self, value: Reals, decay: float) -> Reals:
         """Return the signal (n, 3) after the filter, exactly for a signal that is linear between rows."""
         if not self.share:
             return value

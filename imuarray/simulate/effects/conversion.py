@@ -141,7 +141,7 @@ class RangeReset(Effect):
         first, stop = analog.first, analog.first + len(analog.instant_ns)
         # the first reading of a log may have been measured before its clock began
         onset_ns = self.onset_s * 1e9 if self.onset_s > 0 else -math.inf
-        since = self._known(first, stop, at) if self.moments_s else analog.instant_ns >= onset_ns
+        since = self._are_known(first, stop, at) if self.moments_s else analog.instant_ns >= onset_ns
         by_chance = not self.moments_s and self.probability < 1
         if not since.any() or (by_chance and at.boot_generator(self.name).random() >= self.probability):
             return analog
@@ -151,9 +151,9 @@ class RangeReset(Effect):
             analog,
             value=analog.value + per_row(self.offset, analog.value) * since[:, None],
             noise=analog.noise * np.where(since[:, None], np.array(self.noise_share, dtype), 1),
-            sensitivity=_from(since, sensitivity, analog.sensitivity, dtype),
-            lowest=_from(since, span.lowest, analog.lowest, dtype),
-            highest=_from(since, span.highest, analog.highest, dtype),
+            sensitivity=_switch_over(since, sensitivity, analog.sensitivity, dtype),
+            lowest=_switch_over(since, span.lowest, analog.lowest, dtype),
+            highest=_switch_over(since, span.highest, analog.highest, dtype),
         )
 
     def _is_in(self, run: int) -> bool:
@@ -198,7 +198,7 @@ class RangeReset(Effect):
             if run == at.streams.boot:
                 yield (moment_s - doubt_s) * 1e9, moment_s * 1e9, (moment_s + length_s) * 1e9
 
-    def _known(self, first: int, stop: int, at: Place) -> Booleans:
+    def _are_known(self, first: int, stop: int, at: Place) -> Booleans:
         """Return (stop - first,) which of these rows lie in known stretches."""
         since = np.zeros(stop - first, bool)
         for due, end in at.rows_in(first, stop, ((due_ns, over_ns) for _, due_ns, over_ns in self._stretches(at))):
@@ -215,7 +215,7 @@ def _sensitivity(sensor: SensorHeader, range_: float) -> float:
     return allowed[range_]
 
 
-def _from(since: Booleans, new: Number, old: Number | Reals, dtype: npt.DTypeLike) -> Number | Reals:
+def _switch_over(since: Booleans, new: Number, old: Number | Reals, dtype: npt.DTypeLike) -> Number | Reals:
     """Return `new` for rows where `since` is true and `old` for the others; one number if it is equal in all rows."""
     if since.all():
         return new
@@ -360,11 +360,11 @@ class AdaptiveRange(Effect):
             return codes
         period_ns = 1e9 / at.sensor.rate_hz if at.sensor.rate_hz else 0.0
         noticed_ns = self._noticed_ns(codes, passed, period_ns, at.sensor.sensitivity)
-        is_held = _held(codes, passed, noticed_ns, self.hold_s * 1e9)
+        is_held = _are_held(codes, passed, noticed_ns, self.hold_s * 1e9)
         starts = np.flatnonzero(is_held & ~np.concatenate([[False], is_held[:-1]]))
         if not len(starts):
             return codes
-        shown = _shown_at(codes, starts, noticed_ns[np.searchsorted(passed, starts)] - period_ns, period_ns)
+        shown = _held_readings(codes, starts, noticed_ns[np.searchsorted(passed, starts)] - period_ns, period_ns)
         rows = np.arange(len(is_held))
         run = np.searchsorted(starts, rows, side="right") - 1
         is_held &= rows - starts[run] < LONGEST
@@ -381,14 +381,14 @@ class AdaptiveRange(Effect):
         return np.asarray(np.minimum(end_ns, at_ns + period_ns))
 
 
-def _held(codes: Codes, passed: Indices, noticed_ns: Floats, hold_ns: float) -> Booleans:
+def _are_held(codes: Codes, passed: Indices, noticed_ns: Floats, hold_ns: float) -> Booleans:
     """Return (n,) whether a row falls within the hold of the latest crossing before it."""
     latest = np.searchsorted(passed, np.arange(len(codes.counts)), side="right") - 1
     since_ns = codes.instant_ns - noticed_ns[latest]
     return np.asarray((latest >= 0) & (since_ns < hold_ns))
 
 
-def _shown_at(codes: Codes, starts: Indices, at_ns: Floats, period_ns: float) -> Counts:
+def _held_readings(codes: Codes, starts: Indices, at_ns: Floats, period_ns: float) -> Counts:
     """Return the readings (m, 3) that are held from rows `starts` on. If every reading has a row, these are the
     previous rows; otherwise they are interpolated between the two rows at `at_ns`.
     """

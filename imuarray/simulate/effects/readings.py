@@ -221,7 +221,7 @@ class Stuck(Effect):
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Replace readings while the sensor is stuck by the last reading before that."""
         first, stop, moving = codes.first, codes.first + len(codes.counts), codes
-        for begin, end, reading in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
+        for begin, end, reading in self._known_holds(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:
                 row = math.ceil(begin) if reading else max(math.ceil(begin) - 1, 0)
                 last = moving.rows(row, row + 1) if row >= first else at.reaching(self.name, row)
@@ -230,17 +230,17 @@ class Stuck(Effect):
                     is_row = codes.first + np.arange(len(codes.counts)) == row
                     codes = replace(codes, counts=np.where(is_row[:, None], counts, codes.counts))
                     last = replace(last, counts=counts)
-                codes = _held(codes, last, row + 1, end, self.kind == "new")
-        return codes if not self.stuck_axes else self._of_axes(moving, codes)
+                codes = _hold(codes, last, row + 1, end, self.kind == "new")
+        return codes if not self.stuck_axes else self._hold_axes(moving, codes)
 
-    def _of_axes(self, moving: Codes, stuck: Codes) -> Codes:
+    def _hold_axes(self, moving: Codes, stuck: Codes) -> Codes:
         """Return the codes `moving` with the `stuck_axes` taken from `stuck`."""
         counts = moving.counts.copy()
         places = [int(axis) for axis in self.stuck_axes]
         counts[:, places] = stuck.counts[:, places]
         return replace(moving, counts=counts)
 
-    def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int, tuple[float, ...]]]:
+    def _known_holds(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int, tuple[float, ...]]]:
         """Yield the rows of the known stretches that reach into first ... stop - 1, and the readings that are held."""
         for number, (run, moment_s) in enumerate(zip(self.runs, self.moments_s, strict=True)):
             if run == at.streams.boot:
@@ -258,7 +258,7 @@ class Stuck(Effect):
             begin_s = end_s + free(self.every_s)
 
 
-def _held(codes: Codes, last: Codes, begin: int, end: float, is_new: bool) -> Codes:
+def _hold(codes: Codes, last: Codes, begin: int, end: float, is_new: bool) -> Codes:
     """Return the codes with `last` in the rows from `begin` to before `end`."""
     rows = codes.first + np.arange(len(codes.counts))
     still = (rows >= begin) & (rows < end)

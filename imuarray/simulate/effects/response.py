@@ -77,9 +77,9 @@ class AxisError(Effect):
         """Exchange axes and signs of the signal and of the specific force."""
         if self.axes == _NOMINAL:
             return analog
-        return replace(analog, value=self._exchanged(analog.value), force_g=self._exchanged(analog.force_g))
+        return replace(analog, value=self._exchange(analog.value), force_g=self._exchange(analog.force_g))
 
-    def _exchanged(self, vectors: Reals) -> Reals:
+    def _exchange(self, vectors: Reals) -> Reals:
         x, y, z = (1.0 if sign == "+" else -1.0 for sign in self.axes[::2])
         exchanged = np.take(vectors, ["XYZ".index(axis) for axis in self.axes[1::2]], axis=1)
         return exchanged * per_row((x, y, z), exchanged)

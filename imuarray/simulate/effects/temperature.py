@@ -61,7 +61,7 @@ class ThermalLag(Effect):
         if self.time_constant_s == 0.0:
             return np.asarray(motion.stimulus(time_ns).temperature_degc)
         nodes_ns = self._nodes_ns(time_ns)
-        lagged = self._lagged(nodes_ns, motion)
+        lagged = self._lag(nodes_ns, motion)
         return np.asarray(np.interp((time_ns - nodes_ns[0]).astype(float), nodes_ns - nodes_ns[0], lagged))
 
     def _step_ns(self) -> int:
@@ -74,7 +74,7 @@ class ThermalLag(Effect):
         first = max(0, earliest_ns // step_ns)
         return np.arange(first, max(first, -(-int(time_ns.max()) // step_ns)) + 1) * step_ns
 
-    def _lagged(self, nodes_ns: Integers, motion: Motion) -> Reals:
+    def _lag(self, nodes_ns: Integers, motion: Motion) -> Reals:
         """Return the element's temperature at the nodes, starting in equilibrium at the first one."""
         from scipy.signal import lfilter  # imported late because SciPy takes long to load
 

@@ -161,10 +161,10 @@ class Jitter(Effect):
             return replace(instants, instant_ns=instants.instant_ns + later, kept=instants.kept & ~missed)
         if not self.rms_s:
             return instants
-        delay = self._drawn(instants.first, instants.first + len(instants.stamp_ns), at)
+        delay = self._draw(instants.first, instants.first + len(instants.stamp_ns), at)
         return replace(instants, instant_ns=instants.instant_ns + np.rint(delay * (self.rms_s * 1e9)).astype(np.int64))
 
-    def _drawn(self, first: int, stop: int, at: Place) -> Reals:
+    def _draw(self, first: int, stop: int, at: Place) -> Reals:
         """Return (n,) the deviation of each row in units of `rms_s`."""
         if self.share == 1:
             return np.asarray(at.stream(self.name, width=1).normal(first, stop)[:, 0], float)
@@ -219,7 +219,7 @@ class DroppedSamples(Effect):
         if not self.probability:
             return instants
         stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
-        is_lost = self._lost(instants.first, instants.first + len(instants.kept), stream)
+        is_lost = self._are_lost(instants.first, instants.first + len(instants.kept), stream)
         return replace(instants, kept=instants.kept & ~is_lost)
 
     def _missing(self, stamp_ns: Integers, run: int) -> Booleans:
@@ -231,7 +231,7 @@ class DroppedSamples(Effect):
                 missing[due:end] = True
         return missing
 
-    def _lost(self, first: int, stop: int, stream: Stream) -> Booleans:
+    def _are_lost(self, first: int, stop: int, stream: Stream) -> Booleans:
         """Return (stop - first,) whether rows are lost; row 0 is lost with the long-run probability."""
         stay = 1 - 1 / self.burst_rows
         begin = self.probability / (1 - self.probability) / self.burst_rows

@@ -115,13 +115,13 @@ class HandShake(MotionBetweenRests):
 
     @cached_property
     def _place_sines(self) -> _Sines:
-        return self._drawn(PLACE_HZ, self.peak_g * STANDARD_GRAVITY, 2)
+        return self._draw_sines(PLACE_HZ, self.peak_g * STANDARD_GRAVITY, 2)
 
     @cached_property
     def _turn_sines(self) -> _Sines:
-        return self._drawn(TURN_HZ, math.radians(self.peak_dps), 1)
+        return self._draw_sines(TURN_HZ, math.radians(self.peak_dps), 1)
 
-    def _drawn(self, bands_hz: tuple[tuple[float, float], ...], peak: float, order: int) -> _Sines:
+    def _draw_sines(self, bands_hz: tuple[tuple[float, float], ...], peak: float, order: int) -> _Sines:
         """Return sines whose derivative of this order has a magnitude of at most `peak`. The rising envelope adds to
         the derivatives of a sine, so the amplitude is chosen for the worst instant.
         """

@@ -122,14 +122,14 @@ class SplineColumns:
         constant = self._constant(within)
         if constant is not None:
             return constant, np.broadcast_to(np.zeros(constant.shape[1]), constant.shape)
-        values, slopes = np.split(self._joined(within, _values_and_slopes, 2), 2)
+        values, slopes = np.split(self._join_blocks(within, _values_and_slopes, 2), 2)
         return np.ascontiguousarray(values.T), np.ascontiguousarray(np.where(time_ns == within, slopes, 0.0).T)
 
     def values_at(self, time_ns: Integers) -> Reals:
         """Return the values (n, c) only."""
         within = np.clip(time_ns, self.first_ns, self.last_ns)
         constant = self._constant(within)
-        return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
+        return np.ascontiguousarray(self._join_blocks(within, _values, 1).T) if constant is None else constant
 
     def _constant(self, within: Integers) -> Reals | None:
         """Return one broadcast row (n, c) if all values from first to last of the times are equal; otherwise None."""
@@ -147,16 +147,20 @@ class SplineColumns:
         value = block.start[:, end] + 0.0
         return np.broadcast_to(value, (len(within), len(value)))
 
-    def _joined(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
+    def _join_blocks(
+        self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int
+    ) -> Reals:
         """Return (c * of_each, n): the results of `worked_out`, called for each block with the times within it."""
         if (within[1:] >= within[:-1]).all():
-            return self._in_order(within, worked_out, of_each)
+            return self._evaluate_ascending(within, worked_out, of_each)
         order = np.argsort(within, kind="stable")
         result = np.empty((of_each * sum(self._widths), len(within)))
-        result[:, order] = self._in_order(within[order], worked_out, of_each)
+        result[:, order] = self._evaluate_ascending(within[order], worked_out, of_each)
         return result
 
-    def _in_order(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
+    def _evaluate_ascending(
+        self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int
+    ) -> Reals:
         """Return the same for ascending times."""
         first, last = self._numbers(within[[0, -1]]).tolist() if len(within) else (0, 0)
         if first == last:
@@ -402,7 +406,7 @@ class LikeLog:
         """Return the stimulus by the log's rows or phases; read-only for few instants."""
         if len(time_ns) > _FEW:
             return self._stimulus_before(time_ns)
-        return self._remembered(np.asarray(time_ns, np.int64).tobytes())
+        return self._remember(np.asarray(time_ns, np.int64).tobytes())
 
     def _stimulus_before(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus at many instants; the latest stretches are cached."""
@@ -425,11 +429,11 @@ class LikeLog:
         return LikeLog, (self.log, self.fields, self.rests, self.lead_s)
 
     @cached_property
-    def _remembered(self) -> Callable[[bytes], BoxStimulus]:
+    def _remember(self) -> Callable[[bytes], BoxStimulus]:
         return lru_cache(maxsize=_KEPT)(lambda times: self._stimulus(np.frombuffer(times, np.int64)))
 
     def _stimulus(self, time_ns: Integers) -> BoxStimulus:
-        stimulus = self._on_faces(time_ns)
+        stimulus = self._stimulus_at_rest(time_ns)
         if self.fields:
             stimulus = replace(stimulus, field_box=field_at(self.fields, time_ns))
         if self._moving is None:
@@ -444,7 +448,7 @@ class LikeLog:
             stimulus, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:]
         )
 
-    def _on_faces(self, time_ns: Integers) -> BoxStimulus:
+    def _stimulus_at_rest(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus of the box at rest, at the temperature of that time."""
         warming = self._warming[1]
         degc: float | Reals = ROOM_DEGC

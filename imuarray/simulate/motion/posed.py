@@ -152,9 +152,9 @@ class PoseSequence:
             )
         if self.fields:
             still = replace(still, field_box=field_at(self.fields, time_ns))
-        return self._moved(replace(still, pressure_pa=around.pressure_pa), time_ns)
+        return self._add_movements(replace(still, pressure_pa=around.pressure_pa), time_ns)
 
-    def _moved(self, still: BoxStimulus, time_ns: Integers) -> BoxStimulus:
+    def _add_movements(self, still: BoxStimulus, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus at rest with the movements added."""
         moved = [
             (movement, inside)

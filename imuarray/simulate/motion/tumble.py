@@ -105,10 +105,10 @@ class Tumble:
         degc = np.array(self.temperatures_degc)
         return replace(
             resting(time_ns, UPRIGHT, degc[index] + turned * np.append(np.diff(degc), 0.0)[index]),
-            force_box=_seen(self._gravity, index, sine, less),
+            force_box=_turn_vector(self._gravity, index, sine, less),
             rate_box=turns * speed[:, None],
             angular_acceleration_box=turns * gain[:, None],
-            field_box=_seen(self._field, index, sine, less),
+            field_box=_turn_vector(self._field, index, sine, less),
         )
 
     @cached_property
@@ -156,7 +156,7 @@ class Tumble:
         return _TurningVector(start, start - along, np.cross(axes, start))
 
 
-def _seen(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> Reals:
+def _turn_vector(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> Reals:
     """Return the vector (n, 3) in a box turned by an angle, given its sine and cosine - 1, both (n, 1) (Rodrigues)."""
     vector_box: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
     return vector_box

@@ -106,7 +106,7 @@ def _squares(array: ArrayConfig, counts: Sequence[int], seed: int) -> Floats:
         for row, count in enumerate(counts):
             variance = np.mean(np.diff(means[:count].mean(axis=0), axis=0) ** 2) / 2  # Allan's: N^2 / tau
             results[row, 0] = variance * NOISE_ROWS / NOISE_HZ * _RAD_PER_ROOT_S**2
-        for column, (mounted, slopes) in enumerate(((array, OWN), (_in_one_direction(array), SHARED), (array, SHARED))):
+        for column, (mounted, slopes) in enumerate(((array, OWN), (_align_sensors(array), SHARED), (array, SHARED))):
             _simulate(mounted, "heating", (HEATING_HZ, HEATING_S), seed, path, slopes)
             time, errors = _errors(path)
             for row, count in enumerate(counts):
@@ -115,7 +115,7 @@ def _squares(array: ArrayConfig, counts: Sequence[int], seed: int) -> Floats:
     return results
 
 
-def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
+def _align_sensors(array: ArrayConfig) -> ArrayConfig:
     """Return the same sensors, all mounted like the first one."""
     axes = array.sensors[0].axes
     return array.model_copy(

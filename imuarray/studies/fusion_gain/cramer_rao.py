@@ -131,10 +131,12 @@ def bound(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Bound:
         block = slice(number * axes, (number + 1) * axes)
         for readings in stretch.seen:
             _condition(covariance, mean, block, law, readings)
-        causal[number] = _of_motion(law, stretch.seen, covariance[block, block])
+        causal[number] = _motion_covariance(law, stretch.seen, covariance[block, block])
         past[number] = mean[block]
     blocks = [slice(k * axes, (k + 1) * axes) for k in range(count)]
-    smoothed = [_of_motion(law, stretch.seen, covariance[b, b]) for b, stretch in zip(blocks, stretches, strict=True)]
+    smoothed = [
+        _motion_covariance(law, stretch.seen, covariance[b, b]) for b, stretch in zip(blocks, stretches, strict=True)
+    ]
     frames = np.array([sum(readings.frames for readings in stretch.seen) for stretch in stretches])
     return Bound(causal, np.array(smoothed), frames, past, mean.reshape(count, axes))
 
@@ -182,7 +184,7 @@ def _condition(covariance: Floats, mean: Floats, block: slice, law: ErrorLaw, re
     covariance -= gain @ cross.T
 
 
-def _of_motion(law: ErrorLaw, several: Sequence[StretchReadings], slow: Floats) -> Floats:
+def _motion_covariance(law: ErrorLaw, several: Sequence[StretchReadings], slow: Floats) -> Floats:
     """Return (3, 3) covariance of u, a mean over the frames, for the covariance `slow` (m, m) of the slow errors."""
     total = np.zeros((3, 3))
     for readings in several:
@@ -212,7 +214,7 @@ def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequ
     without error.
     """
     inertial = {header.name: header for header in headers if header.quantity in INERTIAL}
-    sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in inertial.items()}
+    sensors = {name: _calibrate(header, effects.get(name, ())) for name, header in inertial.items()}
     return Calibration(sensors, ("the simulated units' own parameters",))
 
 
@@ -220,7 +222,7 @@ def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effec
     """Return the law of the errors that `true_calibration` does not remove, per axis of these sensors (of one
     quantity), in order, in SI along their true axes.
     """
-    units = [_calibrated(header, effects.get(header.name, ())) for header in headers]
+    units = [_calibrate(header, effects.get(header.name, ())) for header in headers]
     noise = np.concatenate([unit.noise_lsb / unit.lsb_per_si for unit in units if unit.noise_lsb is not None])
     rows = np.concatenate([unit.directions_box for unit in units])
     slow: list[SlowError] = []
@@ -244,7 +246,7 @@ def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effec
     return ErrorLaw(rows, noise, tuple(slow))
 
 
-def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibration:
+def _calibrate(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibration:
     gains = 1 + _triple(effects, Scale, "error")
     leaning = next((each.directions for each in effects if isinstance(each, Misalignment)), np.eye(3))
     noise = header.sensitivity * _triple(effects, WhiteNoise, "rms")
@@ -306,7 +308,7 @@ class Posterior:
     def blocks(self, *, smoothed: bool = False) -> Iterator[FusedBlock]:
         """Yield the posterior mean of each frame with its covariance, the bound."""
         for frames in self._frames():
-            result = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in frames.items()}
+            result = {quantity: self._estimate(quantity, part, smoothed) for quantity, part in frames.items()}
             triads = {quantity: triad for quantity, (triad, _) in result.items()}
             time = next(iter(frames.values())).time
             yield FusedBlock(time, triads, {quantity: covariance for quantity, (_, covariance) in result.items()})
@@ -337,7 +339,7 @@ class Posterior:
     def _stretch_of(self, time: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return np.clip(np.searchsorted(self._edges, time, side="right") - 1, 0, STRETCHES - 1)
 
-    def _estimated(self, quantity: str, part: Frames, smoothed: bool) -> tuple[Floats, Floats]:
+    def _estimate(self, quantity: str, part: Frames, smoothed: bool) -> tuple[Floats, Floats]:
         law, present, stretch = self._laws[quantity], axes_known(part), self._stretch_of(part.time)
         slow = self.bounds[quantity].slow_smoothed if smoothed else self.bounds[quantity].slow_causal
         covariances = self.bounds[quantity].smoothed if smoothed else self.bounds[quantity].causal

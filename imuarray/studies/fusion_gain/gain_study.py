@@ -197,11 +197,11 @@ def run(name: str, seed: int, seconds: float | None = None) -> list[RunErrors]:
             calibrations = calibrate_units(array_name, seed)
             first = _BOOTS_APART * list(EXPERIMENTS).index(name)
             for boot in range(first, first + EXPERIMENTS[name].boots):
-                rows += _of_boot(name, (seed, boot), seconds, array, calibrations, place)
+                rows += _run_boot(name, (seed, boot), seconds, array, calibrations, place)
     return rows
 
 
-def _of_boot(
+def _run_boot(
     name: str,
     replicate: tuple[int, int],
     seconds: float | None,
@@ -288,9 +288,9 @@ def _errors_of(
                 (measure, axis): value
                 for measure, part in measures.items()
                 if len(part)
-                for axis, value in _by_axis(np.mean(part**2, axis=0)).items()
+                for axis, value in _axis_squares(np.mean(part**2, axis=0)).items()
             },
-            bound=_by_axis(bounds[quantity]) if quantity in bounds else {},
+            bound=_axis_squares(bounds[quantity]) if quantity in bounds else {},
             normalised=None if result is None else result.normalised,
             holds=None if result is None else result.holds,
         )
@@ -301,7 +301,7 @@ def _errors_of(
             yield label(quantity="", squares={(measure, ""): float(np.mean(values**2)) for measure, values in ends})
 
 
-def _by_axis(squares: Floats) -> dict[str, float]:
+def _axis_squares(squares: Floats) -> dict[str, float]:
     """Return the mean square of each box axis, and their sum, which is that of the length of the error vector."""
     return dict(zip(AXES, [*squares.tolist(), float(squares.sum())], strict=True))
 
@@ -394,10 +394,10 @@ def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
         average = groups[experiment, calibration, sensors, AVERAGE, quantity]
         for measure, axis in runs[0].squares:
             before, after = (
-                _by_seed(several, [item.squares[measure, axis] for item in several]) for several in (average, runs)
+                _seed_means(several, [item.squares[measure, axis] for item in several]) for several in (average, runs)
             )
             is_rms = measure == "rms"
-            bounds = _by_seed(runs, [item.bound[axis] for item in runs]) if is_rms and runs[0].bound else None
+            bounds = _seed_means(runs, [item.bound[axis] for item in runs]) if is_rms and runs[0].bound else None
             rows.append(
                 GainRow(
                     experiment, calibration, sensors, technique, quantity, measure, axis,
@@ -411,7 +411,7 @@ def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
     return rows
 
 
-def _by_seed(runs: Sequence[RunErrors], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _seed_means(runs: Sequence[RunErrors], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return means of the runs' squares, one for each seed."""
     results: dict[int, list[float]] = defaultdict(list)
     for item, square in zip(runs, squares, strict=True):

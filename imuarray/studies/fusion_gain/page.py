@@ -203,8 +203,8 @@ def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     bounded = [row for row in bounded if row.technique != SMOOTHED and is_shown(row)]
     ends = [row for row in study.of(calibration="measured", quantity="") if differs(row)]
     panels = {
-        "ratios.png": (_by_sensors(vectors), "over_mean"),
-        "bound.png": (_by_sensors(bounded), "over_bound"),
+        "ratios.png": (_group_by_sensors(vectors), "over_mean"),
+        "bound.png": (_group_by_sensors(bounded), "over_bound"),
         "coasting.png": (
             {name: [r for r in ends if r.measure == name] for name in ("heading", "velocity")},
             "over_mean",
@@ -222,7 +222,7 @@ def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     return drawings
 
 
-def _by_sensors(rows: Sequence[GainRow]) -> dict[str, list[GainRow]]:
+def _group_by_sensors(rows: Sequence[GainRow]) -> dict[str, list[GainRow]]:
     """Return a panel for each quantity of each set of sensors."""
     keys = dict.fromkeys((row.sensors, row.quantity) for row in rows)
     return {

@@ -185,7 +185,7 @@ class PrintedNumber:
     def texts(self) -> list[str]:
         """Return the cells under `HEADING`."""
         recomputed = NOTHING if self.cell is None else recomputed_text(self.cell, self.printed)
-        return [self.channel, self.statistic, self.printed, recomputed, *_simulated(self.twin, self.printed)]
+        return [self.channel, self.statistic, self.printed, recomputed, *_format_simulated(self.twin, self.printed)]
 
 
 def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[PrintedNumber]:
@@ -202,7 +202,7 @@ def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> l
 
 def line_of(twin: Statistic) -> PrintedNumber:
     """Return a number of a figure or of the text."""
-    return PrintedNumber(twin.channel, twin.statistic, _in_digits(twin), None, twin)
+    return PrintedNumber(twin.channel, twin.statistic, _format_digits(twin), None, twin)
 
 
 def _texts(number: int) -> dict[Key, str]:
@@ -227,10 +227,10 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
     text = texts.get(key, "")
     if twin is None:
         return text
-    return text.removeprefix("-") if text and twin.published >= 0 else text or _in_digits(twin)
+    return text.removeprefix("-") if text and twin.published >= 0 else text or _format_digits(twin)
 
 
-def _in_digits(twin: Statistic) -> str:
+def _format_digits(twin: Statistic) -> str:
     """Return the text of a number that is in no table; a quotient of printed numbers has the digits that its
     uncertainty allows.
     """
@@ -253,7 +253,7 @@ def _channel(row: Row) -> str:
     return next(row[column] for column in ("channel", "sensor", "group", "run") if column in row)
 
 
-def _simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
+def _format_simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
     """Return simulated value, difference and z."""
     if twin is None:
         return NOTHING, NOTHING, NOTHING
@@ -443,7 +443,7 @@ def write_paper_page(
             _gaps(replica, recomputed),
             *table_sections(replica, observed, recomputed, result),
             elsewhere_section(replica, recomputed),
-            _stated(recomputed),
+            _stated_section(recomputed),
         ],
         verdict=paper_verdict(replica, result),
         force=force,
@@ -538,7 +538,7 @@ def _columns() -> Section:
     )
 
 
-def _stated(recomputed: Recomputed) -> Section:
+def _stated_section(recomputed: Recomputed) -> Section:
     rows = []
     for row in recomputed["stated"]:
         (cell,) = row.cells

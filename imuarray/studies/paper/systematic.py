@@ -167,7 +167,7 @@ def as_text(axes: BoxAxes) -> str:
     return "".join(axes[axis] for axis in "xyz")
 
 
-def _recomputed(row: Row) -> RecomputedRow:
+def _recompute(row: Row) -> RecomputedRow:
     axes = believed_axes(row["sensor"])
     extra: dict[str, Any] = {
         "axes": as_text(axes),
@@ -182,7 +182,7 @@ def _recomputed(row: Row) -> RecomputedRow:
 
 def table1() -> tuple[RecomputedRow, ...]:
     """Table 1 with the accelerometers' axes recomputed from Table 10, and the determinants before and after."""
-    return tuple(_recomputed(row) for row in table(1))
+    return tuple(_recompute(row) for row in table(1))
 
 
 def mirrored() -> tuple[RecomputedRow, ...]:
@@ -320,13 +320,13 @@ class AxisPair:
     def fused_slope(self) -> Decimal:
         """The slope of the mean of the two along the positive box axis, in counts per degree Celsius."""
         first, second = self.slopes
-        return (_signed(self.axis_first, first) + _signed(self.axis_second, second)) / 2
+        return (_sign_slope(self.axis_first, first) + _sign_slope(self.axis_second, second)) / 2
 
     @property
     def turned_slope(self) -> Decimal:
         """The same slope if the second sensor were mounted in the opposite direction."""
         first, second = self.slopes
-        return (_signed(self.axis_first, first) - _signed(self.axis_second, second)) / 2
+        return (_sign_slope(self.axis_first, first) - _sign_slope(self.axis_second, second)) / 2
 
     @property
     def reduction(self) -> Decimal:
@@ -354,7 +354,7 @@ class AxisPair:
         }
 
 
-def _signed(axis: str, slope: Decimal) -> Decimal:
+def _sign_slope(axis: str, slope: Decimal) -> Decimal:
     return -slope if axis[0] == "-" else slope
 
 

@@ -190,7 +190,7 @@ def test_there_are_47_exchanges() -> None:
     assert len(found) == 47
     vectors = np.array([[1.0, 2.0, 3.0]])
     for axes, matrix in found.items():
-        np.testing.assert_array_equal(AxisError(axes)._exchanged(vectors), vectors @ matrix.T)
+        np.testing.assert_array_equal(AxisError(axes)._exchange(vectors), vectors @ matrix.T)
     hands = [round(np.linalg.det(matrix)) for matrix in found.values()]
     assert hands == [1] * 23 + [-1] * 24
 

@@ -451,7 +451,7 @@ class _HeatingSpread(NamedTuple):
 
 def compare_slopes(simulated: Table) -> Iterator[Statistic]:
     """Table 8."""
-    heated = _heated()
+    heated = _heating_spread()
     for row in table(8):
         for column, compare in (("slope_lsb_per_degc", _slope), ("intercept_lsb", _intercept)):
             channel, published = row["channel"], float(number_in(row, column))
@@ -483,7 +483,7 @@ def _tilts(heated: _HeatingSpread, channel: str) -> dict[str, float]:
 
 
 @cache
-def _heated() -> _HeatingSpread:
+def _heating_spread() -> _HeatingSpread:
     """Return the spread of the heating experiment's lines, from the temperature every half minute."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds, 30.0)
