@@ -415,40 +415,44 @@ def _foretold(design: str, effect: str, key: str, values: Sequence[object]) -> o
 _HEAD = """\
 # The nine inertial sensors of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), fitted to the tables they print.
 # Written by `python -m imuarray.studies.paper.array_model`; don't edit. Its fidelity: `imuarray paper --replica`.
-# LSB are turned into g and dps with the data sheets' typical sensitivities; all is along a sensor's own axes.
+# Counts are converted to g and dps with the data sheets' typical sensitivities. Axes are those of the sensor.
 """
 _SOURCES = {
-    "misalignment": "Table 10: directions of the half-differences (up - down) / 2; the board's own turn is in them",
-    "scale": "Table 10: norm of the half-differences over the typical sensitivity, less one (Table 3)",
-    "g_sensitivity": "Table 10: half-differences, turned into the sensor's axes (half of Table 4's differences)",
-    "bias": "Table 10: mean of the six faces, each brought to 25 degC with Table 8's slope",
-    "thermal_bias": "Table 8 (an accelerometer axis along box Z carried 1 g: its slope may be its scale factor's)",
-    "turn_on_bias": "Table 11: (deviation of the 15 runs' means)^2 - sem^2 - (slope 0.131 degC)^2 - in-run part; 0: "
-    "none is left",
+    "misalignment": "Table 10: directions of the half-differences (up - down) / 2, which include the board's rotation",
+    "scale": "Table 10: norm of the half-differences over the typical sensitivity, minus one (Table 3)",
+    "g_sensitivity": "Table 10: half-differences, rotated into the sensor's axes (half of Table 4's differences)",
+    "bias": "Table 10: mean of the six faces, each corrected to 25 degC with Table 8's slope",
+    "thermal_bias": "Table 8 (an accelerometer axis along box Z measured 1 g: the slope may be its scale factor's)",
+    "turn_on_bias": "Table 11: (deviation of the 15 runs' means)^2 - sem^2 - (slope 0.131 degC)^2 - in-run part; 0 if "
+    "nothing remains",
     "bias_instability": "Table 11: ((deviation of the 15 five-minute means)^2 - sem^2 - (slope 0.086 degC)^2) / 0.665, "
-    "the share of a Gauss-Markov process of 600 s that such means scatter by (array_model.py brackets the 600 s)",
-    "white_noise": "Tables 10 and 11: mean variance of three experiments, less step^2 / 12, on gyroscope y the tone",
-    "tone": "Figure 14: near 50 Hz, y only, seen on Gyro1; no amplitude printed: 3 % of Table 9's variance, a guess",
-    "bandwidth": "Figure 13: neighbours at 350 Hz correlate by 0.4 = exp(-2 pi 51 / 350); at 48 Hz nothing shows of it",
-    "thermometer": "Tables 10 and 11, rows t, beside the BMP180; an L3G4200D's zero is its own (L3G-60), ours 47 - T",
-    "bistable_bias": "Table 7: second state less first, in 8 of 15 runs, all axes together",
-    "range_reset": "Table 6, run 10 of 15: at the power-on range of 2 g (4096 LSB/g) the offset is another (BMA-79); "
-    "Table 11: its noise too, a tenth to a sixth in g",
+    "the share of the variance of a Gauss-Markov process of 600 s in such means (array_model.py brackets the 600 s)",
+    "white_noise": "Tables 10 and 11: mean variance of three experiments minus step^2 / 12; gyroscope y: also minus "
+    "the tone",
+    "tone": "Figure 14: near 50 Hz, y only, seen on Gyro1; the amplitude is not printed: 3 % of Table 9's variance, a "
+    "guess",
+    "bandwidth": "Figure 13: neighbours at 350 Hz correlate by 0.4 = exp(-2 pi 51 / 350); no effect at 48 Hz",
+    "thermometer": "Tables 10 and 11, rows t, compared with the BMP180; the zero of an L3G4200D varies from part to "
+    "part (L3G-60): 47 - T is assumed",
+    "bistable_bias": "Table 7: second state minus first, in 8 of 15 runs, all axes together",
+    "range_reset": "Table 6, run 10 of 15: at the power-on range of 2 g (4096 LSB/g) the offset differs (BMA-79); "
+    "Table 11: so does the noise, a tenth to a sixth in g",
 }
 _NOTES = {
-    ("Gyro1", "bias"): "at any range but 250 dps: Table 10, at 2000 dps",
+    ("Gyro1", "bias"): "at all ranges except 250 dps: Table 10, at 2000 dps",
     ("Gyro3", "bias"): "of the first of two states; Table 10 shows the second",
-    ("Gyro1 at 250", "bias"): "Table 9 at 250 dps: +X up, at the 23.9 degC that Gyro1's own thermometer tells",
+    ("Gyro1 at 250", "bias"): "Table 9 at 250 dps: +X up, at 23.9 degC by Gyro1's own thermometer",
 }
 _POPULATION = """\
-# What other units of these designs may be like: mean and spread over the units above and their axes, widened by how
-# little so few can tell; `shared` is the share of the variance common to all drawn units (array_model.py).
+# Other units of these designs: mean and spread over the units above and their axes, widened because these are few;
+# `shared` is the share of the variance common to all drawn units (array_model.py).
 """
 
 
 _MAGNETOMETERS = """\
-# The paper logs its two magnetometers and analyses nothing of them. Data sheet: gain +-5 % (HMC-52), -1.2 counts of
-# 1024 per degC (HMC-57), 10 mG (HMC-53).
+# The paper logs its two magnetometers but does not analyse them. Data sheet: gain +-5 % (HMC-52), -1.2 counts of 1024
+# per degC (HMC-57), 10 mG (HMC-53).
+
 """
 
 
