@@ -265,9 +265,9 @@ def simulate(  # noqa: PLR0913
             chosen_model = _model(model, calibration, run)
             for sentence in remarks_on(run.plan, chosen_model, recorded, population=population):
                 warnings.warn(sentence, UserWarning, stacklevel=2)
-            made = effects_of(run.plan, chosen_model, seed, population=population, without=without)
-            made = with_effects(made, effects or {})
-            simulation = Simulation(run.plan, run.motion, made, seed=seed, boot=run.boot)
+            chosen_effects = effects_of(run.plan, chosen_model, seed, population=population, without=without)
+            chosen_effects = with_effects(chosen_effects, effects or {})
+            simulation = Simulation(run.plan, run.motion, chosen_effects, seed=seed, boot=run.boot)
         note = f"model {chosen_model.name}, seed {seed}, boot {run.boot}"
         epoch = EPOCH if recorded is None else recorded.epoch
         write_log(simulation, run.path, origin=Origin(epoch, note), force=force)

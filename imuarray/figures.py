@@ -47,9 +47,9 @@ def time_series_figure(panels: Mapping[str, tuple[Reals, Reals]], title: str = "
     for panel, (label, (time_s, values)) in zip(axes, panels.items(), strict=False):
         columns = np.asarray(values, float).reshape(len(time_s), -1)
         for number, column in enumerate(columns.T):
-            drawn_s, drawn = envelope(np.asarray(time_s, float), column)
+            curve_s, curve = envelope(np.asarray(time_s, float), column)
             colour, name = PALETTE[1 + number % (len(PALETTE) - 1)], "XYZ"[number] if columns.shape[1] > 1 else None
-            panel.plot(drawn_s, drawn, color=colour, linewidth=0.8, label=name)
+            panel.plot(curve_s, curve, color=colour, linewidth=0.8, label=name)
         panel.set_ylabel(label, fontsize=9)
         panel.grid(linewidth=0.4, alpha=0.6)
         if columns.shape[1] > 1:

@@ -336,10 +336,10 @@ class IioDevice:
             raise OSError(errno.ENODEV, f"{self} is not set up")
         size, parts = self._layout.size, [self._rest]
         most = MOST_BYTES // size * size
-        taken = 0
-        while taken < most:
+        received = 0
+        while received < most:
             try:
-                part = os.read(self._file, most - taken)
+                part = os.read(self._file, most - received)
             except BlockingIOError:
                 break
             except OSError as error:
@@ -349,8 +349,8 @@ class IioDevice:
             if not part:
                 break
             parts.append(part)
-            taken += len(part)
-        if not taken and (self._folder is None or not self._folder.is_dir()):
+            received += len(part)
+        if not received and (self._folder is None or not self._folder.is_dir()):
             self._forget()
             raise OSError(errno.ENODEV, f"{self} was removed")
         data = b"".join(parts)

@@ -65,7 +65,7 @@ class SerialBus:
         self.clock: Clock = MonotonicClock() if clock is None else clock
         self._session = Session(open_port, self.clock, patience_s)
         self._period_us = 0
-        self._behind = False
+        self._is_behind = False
         self._lost = False
         self._search_ns = 0
         self._selects: dict[int, tuple[int, int]] = {}
@@ -188,11 +188,11 @@ class SerialBus:
         more data arrive than can be processed.
         """
         if self.streaming:
-            if not self._behind:
+            if not self._is_behind:
                 sleep_for(self.clock, NAP_S)
-            self._behind = self._session.drain() > BUSY_BYTES
+            self._is_behind = self._session.drain() > BUSY_BYTES
             until_ns = self.clock.now_ns() + round(NAP_S * 1e9)
-            while not self._behind and self._session.read() == 0 and self.clock.now_ns() < until_ns:
+            while not self._is_behind and self._session.read() == 0 and self.clock.now_ns() < until_ns:
                 pass
         data = self._session.collect()
         return self._group_by_list(data) if data.frames else {}

@@ -104,11 +104,11 @@ def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[Tria
     return TriadFit(coefficients, covariance, float(chi_squared.sum()), 3.0 * freedom, np.sqrt(excess)), residual
 
 
-def beyond_noise(chi_squared: float, freedom: float, among: int = 1) -> bool:
-    """Return whether residuals are significantly larger than noise (`MORE_THAN_NOISE`), for the largest of `among`."""
+def beyond_noise(chi_squared: float, freedom: float, cases: int = 1) -> bool:
+    """Return whether residuals are significantly larger than noise (`MORE_THAN_NOISE`), for the largest of `cases`."""
     from scipy.special import chdtrc  # slow to import
 
-    return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / among
+    return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / cases
 
 
 def refuse_imprecise(sensor: SensorLog, sem_lsb: Floats, most: Mapping[str, float], message: str) -> None:

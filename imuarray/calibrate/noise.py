@@ -387,7 +387,7 @@ def _noise(
 ) -> SensorCalibration:
     """Measure one sensor's noise; CalibrationError if it has no valid readings."""
     result = [(pose, *pose.rows_of(sensor)) for pose in poses]
-    stretches = [(here, rows) for _, here, rows in result if rows.stop > rows.start]
+    stretches = [(source, rows) for _, source, rows in result if rows.stop > rows.start]
     scatter = reading_noise(stretches, false_alarm) if stretches else None
     if scatter is None:
         raise CalibrationError(f"{sensor.where}: no valid readings while the box stood still")

@@ -205,8 +205,10 @@ def _chance_shares(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> 
     heavy /= np.sqrt(generator.chisquare(3, (_DRAWS, rows, 1)) / 3)
     line = np.array(warm)
     first, second = (
-        np.concatenate([best_split(np.linalg.qr(_detrend(part, line))[0], line)[0] for part in np.split(drawn, _PARTS)])
-        for drawn in (normal, heavy)
+        np.concatenate(
+            [best_split(np.linalg.qr(_detrend(part, line))[0], line)[0] for part in np.split(sample, _PARTS)]
+        )
+        for sample in (normal, heavy)
     )
     return first, second
 

@@ -147,16 +147,16 @@ def _turn(
 ) -> _Turn | Outlier:
     """Return the turn between two poses, the first of index `place`, or the reason why it can't be integrated."""
     (first, second), before, after = ends, up_box[place], up_box[place + 1]
-    here, _ = first.rows_of(sensor)
+    source, _ = first.rows_of(sensor)
     name, log = f"{first.phase.name} to {second.phase.name}", "" if first.log is None else str(first.log.path)
-    inside = here.between(first.phase.end_ns, second.phase.start_ns)
+    inside = source.between(first.phase.end_ns, second.phase.start_ns)
     rows = slice(max(inside.start - 1, 0), inside.stop + 1)
-    time = np.asarray(here.time[rows]) * 1e-9
+    time = np.asarray(source.time[rows]) * 1e-9
     seconds = float(time[-1] - time[0])
     readings = [read_pose(sensor, pose) for pose in (first, second)]
     rests_s = [(pose.phase.end_ns - pose.phase.start_ns) * 1e-9 for pose in (first, second)]
     usual_s = rests_s[0] / readings[0].rows
-    clipped = int(np.count_nonzero(np.asarray(here.status[rows]) & (SATURATED | SUSPECT)))
+    clipped = int(np.count_nonzero(np.asarray(source.status[rows]) & (SATURATED | SUSPECT)))
     if clipped:
         return Outlier(name, log, f"{clipped} readings clip or are suspect")
     if seconds > LONGEST_S:
@@ -165,7 +165,7 @@ def _turn(
         return Outlier(name, log, "readings are missing")
     share = ((time - time[0]) / seconds)[:, None]
     means = [reading.mean_lsb for reading in readings]
-    counts = np.asarray(here.counts[rows], float) - means[0] - share * (means[1] - means[0])
+    counts = np.asarray(source.counts[rows], float) - means[0] - share * (means[1] - means[0])
     if accelerometers and calibration.g_sensitivity_lsb_per_g is not None:
         change_g = _force_g(accelerometers, first, time) - before - share * (after - before)
         counts = counts - change_g @ calibration.g_sensitivity_lsb_per_g.T
@@ -180,10 +180,10 @@ def _force_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose
     """Return the specific force (n, 3) in g in the box frame at these times: the mean of all accelerometers."""
     forces = []
     for sensor, calibration in accelerometers:
-        here, _ = pose.rows_of(sensor)
-        rows = here.between(round(time_s[0] * 1e9) - 10**8, round(time_s[-1] * 1e9) + 10**8)
-        own = np.asarray(here.time[rows]) * 1e-9
-        force = calibration.stimulus_box(np.asarray(here.counts[rows])) / STANDARD_GRAVITY
+        source, _ = pose.rows_of(sensor)
+        rows = source.between(round(time_s[0] * 1e9) - 10**8, round(time_s[-1] * 1e9) + 10**8)
+        own = np.asarray(source.time[rows]) * 1e-9
+        force = calibration.stimulus_box(np.asarray(source.counts[rows])) / STANDARD_GRAVITY
         forces.append(np.stack([np.interp(time_s, own, column) for column in force.T], axis=1))
     return np.asarray(np.mean(forces, axis=0))
 

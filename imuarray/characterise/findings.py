@@ -102,7 +102,7 @@ def places_in_short(places: Sequence[Place]) -> str:
     sensors: dict[str, list[str]] = {}
     for sensor, names in axes.items():
         sensors.setdefault(", ".join(sorted(names)), []).append(sensor)
-    return "; ".join(f"{listed(names)} {those}".rstrip() for those, names in sensors.items())
+    return "; ".join(f"{listed(names)} {axes_text}".rstrip() for axes_text, names in sensors.items())
 
 
 def _timing(sensor: Mapping[str, Any]) -> Iterator[_Remark]:

@@ -595,15 +595,15 @@ class Lsm6dsoQueue(DieQueue):
             return False
         rows = np.concatenate([words, self._temperatures(words, tags)], axis=1)
         for half, reader in self._readers.items():
-            mine = rows[tags == self.TAGS[half]]
+            own_rows = rows[tags == self.TAGS[half]]
             clock = self._clocks[half]
             from_ns, until_ns = counted_ns
             if unread:  # the halves of these words are unknown: the count may be wrong by two samples
                 from_ns -= round(2 * clock.nominal_ns)
                 until_ns += round(2 * clock.nominal_ns)
             unread_samples = round(unread / self._words_per_sample)
-            clock.times(len(mine), from_ns, gap, until_ns=until_ns, unread=unread_samples)
-            reader.put(mine.tobytes(), clock, gap=gap)
+            clock.times(len(own_rows), from_ns, gap, until_ns=until_ns, unread=unread_samples)
+            reader.put(own_rows.tobytes(), clock, gap=gap)
         return True
 
     @property

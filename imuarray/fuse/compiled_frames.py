@@ -83,12 +83,12 @@ def nearest_readings(
     time, counts, status = rows
     if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:
         return None
-    given = tuple(np.ascontiguousarray(part) for part in (time, counts, status, np.asarray(grid, np.int64)))
+    inputs = tuple(np.ascontiguousarray(part) for part in (time, counts, status, np.asarray(grid, np.int64)))
     bias, scale = (np.ascontiguousarray(part, float) for part in factors)
-    seen: int = _frames.readings(
-        (*given, bias, scale, *into), (len(time), len(grid)), tolerance.half_ns, tolerance.age_ns, tolerance[2:]
+    code: int = _frames.readings(
+        (*inputs, bias, scale, *into), (len(time), len(grid)), tolerance.half_ns, tolerance.age_ns, tolerance[2:]
     )
-    return None if seen & 1 else not seen
+    return None if code & 1 else not code
 
 
 def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
@@ -99,8 +99,8 @@ def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floa
         return None
     inverse = np.linalg.inv(rows.reshape(-1, 3, 3))
     result = np.empty((3, values.shape[1]))
-    given = tuple(np.ascontiguousarray(part, float) for part in (values, rows, gain, inverse))
-    _frames.consensus((*given, result), values.shape, tolerated)
+    inputs = tuple(np.ascontiguousarray(part, float) for part in (values, rows, gain, inverse))
+    _frames.consensus((*inputs, result), values.shape, tolerated)
     return result
 
 
@@ -114,8 +114,8 @@ def remove_motion(
         return False
     slope, curvature = (np.ascontiguousarray(part) for part in derivatives)
     valid, late_s = (np.ascontiguousarray(part) for part in late)
-    given = slope, curvature, valid, late_s, np.ascontiguousarray(directions, float)
-    _frames.motion((*given, columns), valid.shape, share)
+    inputs = slope, curvature, valid, late_s, np.ascontiguousarray(directions, float)
+    _frames.motion((*inputs, columns), valid.shape, share)
     return True
 
 
@@ -130,8 +130,8 @@ def delay_noise(
         return None
     valid, late_s = (np.ascontiguousarray(part) for part in late)
     result = np.empty((2 * len(valid), len(grid)), np.float32)
-    given = np.asarray(grid, np.int64), np.ascontiguousarray(slope.T), valid, late_s, weights
-    _frames.delay_noise((*given, result), valid.shape, *periods_ns)
+    inputs = np.asarray(grid, np.int64), np.ascontiguousarray(slope.T), valid, late_s, weights
+    _frames.delay_noise((*inputs, result), valid.shape, *periods_ns)
     return result.T
 
 
@@ -143,8 +143,8 @@ def spline_at(knots: Floats, rows: Floats, places: Floats) -> Floats | None:
         return None
     widths, columns = np.diff(knots), np.ascontiguousarray(rows.T)
     result = np.empty((len(columns), len(places)))
-    given = knots, widths, columns, _slopes(widths, columns), np.ascontiguousarray(places)
-    _frames.at((*given, result), (*columns.shape, len(places)))
+    inputs = knots, widths, columns, _slopes(widths, columns), np.ascontiguousarray(places)
+    _frames.at((*inputs, result), (*columns.shape, len(places)))
     return result.T
 
 
@@ -172,6 +172,6 @@ def quadratic(factors: Floats, triads: Floats) -> Floats | None:
     if not COMPILED:
         return None
     result = np.empty((6, triads.shape[1]))
-    given = np.ascontiguousarray(factors, float), np.ascontiguousarray(triads, float)
-    _frames.covariances((*given, result), (triads.shape[1],))
+    inputs = np.ascontiguousarray(factors, float), np.ascontiguousarray(triads, float)
+    _frames.covariances((*inputs, result), (triads.shape[1],))
     return result

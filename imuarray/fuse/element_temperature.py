@@ -207,13 +207,13 @@ _MOST_SEGMENTS = 64
 
 class _Segment(NamedTuple):
     """One segment: its end, the mean time of its rows (s), its mean (degC), the temperatures after the lags (k,) at
-    that time (`behind`), and the trend (degC/s) after it.
+    that time (`lagged_degc`), and the trend (degC/s) after it.
     """
 
     end_s: float
     mid_s: float
     degc: float
-    behind: Floats
+    lagged_degc: Floats
     trend: float = 0.0
 
 
@@ -271,7 +271,7 @@ class CausalThermometer:
             last = self._closed[-1]
             late = (degc - last.degc) / (mid_s - last.mid_s) * self._lags
             remaining = np.exp(-(mid_s - last.mid_s) / self._lags)
-            lagged = degc - late + (last.behind - last.degc + late) * remaining
+            lagged = degc - late + (last.lagged_degc - last.degc + late) * remaining
         return _Segment((begin_ns + (self._number + 1) * _WIDTH_NS) * 1e-9, mid_s, degc, lagged)
 
     def _trend(self, last: _Segment) -> float:
@@ -294,7 +294,7 @@ class CausalThermometer:
         self._forget(float(known_s.min()))
         segments = [*self._closed, self._open()]
         end, mid, degc, trend = (np.array([segment[k] for segment in segments]) for k in (0, 1, 2, 4))
-        lagged = np.array([segment.behind[column] for segment in segments])
+        lagged = np.array([segment.lagged_degc[column] for segment in segments])
         last = np.searchsorted(end, known_s, "right") - 1
         whole = np.maximum(last, 0)
         since = np.maximum(time_s - mid[whole], 0.0)

@@ -238,7 +238,7 @@ class FusionStream(Generic[Out]):
         """Time up to which rows must be known before the next frames can be complete."""
         self._times: Times = np.zeros(0, np.int64)
         """Times of frames: the last ones that were fused, and those that wait."""
-        self._given = 0
+        self._fused = 0
         """Number of these that were fused."""
 
     @property
@@ -299,13 +299,13 @@ class FusionStream(Generic[Out]):
         final = known_ns == FOREVER_NS
         self._extend(self._grid, known_ns)
         ready = len(self._times) if final else len(self._times) - MARGIN
-        if ready - self._given < (1 if final else MARGIN):  # fewer frames would take as long
-            missing = MARGIN - max(ready - self._given, -MARGIN)
+        if ready - self._fused < (1 if final else MARGIN):  # fewer frames would take as long
+            missing = MARGIN - max(ready - self._fused, -MARGIN)
             self._asleep_until_ns = min(known_ns + round(missing * self._grid.period_ns / 2), FOREVER_NS)
             return
-        yield from self._fuse(self._pipeline, self._grid, slice(self._given, ready))
+        yield from self._fuse(self._pipeline, self._grid, slice(self._fused, ready))
         first = max(0, ready - MARGIN)
-        self._times, self._given = self._times[first:], ready - first
+        self._times, self._fused = self._times[first:], ready - first
         before_ns = int(self._times[0]) - 2 * self._grid.ahead_ns
         for rows in self._rows.values():
             rows.forget(before_ns)

@@ -105,7 +105,7 @@ def kind_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> int | No
         kinds = set(words)
         if not 1 < len(kinds) <= MOST_INSTANCES or not all(kind[:1].isalpha() for kind in kinds):
             continue
-        if sum(any(spelt.search(kind) for _, spelt in QUANTITIES) for kind in kinds) > 1:
+        if sum(any(pattern.search(kind) for _, pattern in QUANTITIES) for kind in kinds) > 1:
             return index
     return None
 

@@ -79,8 +79,8 @@ def unit_in(name: str) -> str:
 def _spell_as_usual(unit: str) -> str:
     if known := SPELLINGS.get(unit.lower()):
         return known
-    spelt = (standard_unit(spelling, quantity) for quantity in UNITS_OF for spelling in (unit, unit.lower()))
-    return next((usual for usual in spelt if usual not in (unit, unit.lower())), unit)
+    usual_spellings = (standard_unit(spelling, quantity) for quantity in UNITS_OF for spelling in (unit, unit.lower()))
+    return next((usual for usual in usual_spellings if usual not in (unit, unit.lower())), unit)
 
 
 def units_below_header(layout: TextLayout, names: Sequence[str]) -> dict[str, str]:

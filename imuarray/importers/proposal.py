@@ -232,7 +232,7 @@ def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int)
     rest = index + 1
     if rest >= min(len(names), len(columns)):
         return []
-    unit = next((unit for unit, spelt in _FRACTIONS.items() if spelt.search(names[rest])), "")
+    unit = next((unit for unit, pattern in _FRACTIONS.items() if pattern.search(names[rest])), "")
     values, seconds = columns[rest], columns[index]
     if not unit or not np.isin(np.diff(seconds), (0.0, 1.0)).all() or not (seconds == np.rint(seconds)).all():
         return []
@@ -369,7 +369,7 @@ _CALLED: Mapping[str, re.Pattern[str]] = {
 
 def _unit_called(name: str) -> str:
     """Return the unit of time that a name states without brackets; "" if it states none."""
-    return next((unit for unit, spelt in _CALLED.items() if spelt.search(name.strip())), "")
+    return next((unit for unit, pattern in _CALLED.items() if pattern.search(name.strip())), "")
 
 
 _TICKS = re.compile(r"(\d+\.?\d*) ?([mun\u00b5\u03bc]?s)")

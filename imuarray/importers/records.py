@@ -77,7 +77,7 @@ def is_of_records(path: Path) -> bool:
     if text[0] in "{[":
         return _parses(lines[0]) or bool(_OPENS_DOCUMENT.match(text))
     whole = lines[:-1] or lines
-    return any(sum(spelt.fullmatch(line.strip()) is not None for line in whole) > 0.9 * len(whole) for spelt in _LINES)
+    return any(sum(form.fullmatch(line.strip()) is not None for line in whole) > 0.9 * len(whole) for form in _LINES)
 
 
 _LINES = (_INFLUX, _CAN)

@@ -172,17 +172,17 @@ def fused_now(log: Log, calibration: Calibration) -> FusedView:
     return _view(TECHNIQUE, bool(calibration.sensors), block)
 
 
-def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = None) -> FusedView | None:
-    """Return the rows from `start_ns` of the fused result beside the log at `path`: `RUN_fused.h5` or the file `given`;
-    for a log that is split into parts, the result of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or of the whole.
-    None if it does not exist, belongs to another log or ends before.
+def fused_beside(path: Path, epoch: str, start_ns: int, result_path: Path | None = None) -> FusedView | None:
+    """Return the rows from `start_ns` of the fused result of the log at `path`: `RUN_fused.h5`, or `result_path`
+    (RESULT.h5); for a log that is split into parts, the result of the part (`RUN_001_fused.h5`, `RESULT_001.h5`) or of
+    the whole. None if it does not exist, belongs to another log or ends before.
     """
     cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
     whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
-    if given is None:
+    if result_path is None:
         names = [path.with_name(f"{stem}_choose_fused{path.suffix}") for stem in (path.stem, whole)]
     else:
-        names = [given.with_stem(given.stem + part), given]
+        names = [result_path.with_stem(result_path.stem + part), result_path]
     for candidate in dict.fromkeys(names):
         for patience_s in _PATIENCE_S if candidate.is_file() else ():
             try:

@@ -57,7 +57,7 @@ class LogMonitor:
         self._span_ns = round(span_s * 1e9)
         self._calibration, self._result = calibration or Calibration(), result
         self._stopwatch = stopwatch
-        self._there: tuple[object, ...] = ()
+        self._files: tuple[object, ...] = ()
         self._source: LogSource | None = None
         self._fresh_s = 0.0
         self._remark = ""
@@ -82,7 +82,7 @@ class LogMonitor:
     def _look(self, now_s: float) -> None:
         """Open the log if it exists, read new rows, continue with the next part."""
         source = self._source
-        if source is None or (source.state != WRITTEN and look(source.path) != self._there):
+        if source is None or (source.state != WRITTEN and look(source.path) != self._files):
             source = self._open(self._find_log() if source is None else source.path, now_s)
             if source is None:
                 return
@@ -90,7 +90,7 @@ class LogMonitor:
         rows = source.read()
         if not rows or source.state != WRITTEN:
             if is_written and source.state != WRITTEN and not is_running(source.path):
-                self._there = look(source.path)
+                self._files = look(source.path)
             source = self._next_part(source, is_written)
         self._fresh_s = now_s if rows else self._fresh_s
         source.backlog.step({name: window.usual_ns for name, window in source.read_rows.windows.items()})
@@ -112,7 +112,7 @@ class LogMonitor:
         if not path.exists():
             self._remark = f"{path}: does not exist yet"
             return None
-        self._there, self._remark = look(path), ""
+        self._files, self._remark = look(path), ""
         self._source = _source(path, ReadRows(self._span_ns))
         return self._source
 
@@ -128,7 +128,7 @@ class LogMonitor:
             return source
         goes_on = followed and is_running(parts[0])
         part = parts[0] if goes_on else parts[-1]
-        self._there = look(part)
+        self._files = look(part)
         for name, window in source.read_rows.windows.items():
             window.gaps += source.backlog.gaps(name)
         source.read()  # the rows that were written before the next part began

@@ -172,11 +172,11 @@ def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> di
     time_s, rows = since_end_ns * 1e-9, values
     size = -(-len(time_s) // DRAWN)
     if size > 2:
-        kept = len(time_s) // size * size  # without a few of the oldest rows
-        pieces = np.nan_to_num(values[-kept:]).reshape(-1, size, values.shape[1])
+        whole = len(time_s) // size * size  # without a few of the oldest rows
+        pieces = np.nan_to_num(values[-whole:]).reshape(-1, size, values.shape[1])
         ends = np.sort(np.stack([pieces.argmin(axis=1), pieces.argmax(axis=1)], axis=1), axis=1)
         rows = np.take_along_axis(pieces, ends, axis=1).reshape(-1, values.shape[1])
-        time_s = np.repeat(time_s[-kept::size], 2) + np.tile([0.0, 0.5], len(pieces)) * size * np.median(
+        time_s = np.repeat(time_s[-whole::size], 2) + np.tile([0.0, 0.5], len(pieces)) * size * np.median(
             np.diff(time_s)
         )
     curves: dict[str, list[float | None]] = {"t": [round(float(at_s), 3) for at_s in time_s]}

@@ -67,7 +67,7 @@ def new_token() -> str:
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
-def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> str | None:
+def refusal(token: str, request_token: str, host: str, headers: Mapping[str, str]) -> str | None:
     """Return why a request is refused; None if it is not. `token` is "" for a page that only this machine can reach;
     then the requested `host` must be a name of this machine, as a protection against DNS rebinding.
     """
@@ -77,7 +77,7 @@ def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> st
     if origin is not None and origin.split("://")[-1] != host:
         return "requested by another page"
     if token:
-        given_right = hmac.compare_digest(given.encode(), token.encode())
+        given_right = hmac.compare_digest(request_token.encode(), token.encode())
         return None if given_right else "the token is missing or wrong: use the address that imuarray printed"
     name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
     return None if is_own(name) else "requested under another host name: use http://127.0.0.1"
@@ -105,8 +105,8 @@ class _CheckedHandler(RequestHandler):
         self.clear_header("Server")
 
     def prepare(self) -> None:
-        given = self.get_query_argument("token", "") or ""
-        reason = refusal(self.token, given, self.request.host, dict(self.request.headers.get_all()))
+        request_token = self.get_query_argument("token", "") or ""
+        reason = refusal(self.token, request_token, self.request.host, dict(self.request.headers.get_all()))
         if reason is not None:
             raise HTTPError(403, reason=reason)
 

@@ -211,14 +211,14 @@ def _detection(figures: Figures, plots: Plots) -> Section:
 
 
 def _curve_table(figures: Figures) -> Table:
-    limits = sorted({limits for curve in figures.curves for limits, _ in curve.points})
+    sizes = sorted({limits for curve in figures.curves for limits, _ in curve.points})
     rows = []
     for curve in figures.curves:
         points = dict(curve.points)
-        cells = [points.get(limits) for limits in limits]
-        rows.append([curve.plan, *(f"{decimal(limits.value)} ({limits.cases})" if limits else "–" for limits in cells)])
+        shares = [points.get(limits) for limits in sizes]
+        rows.append([curve.plan, *(f"{decimal(each.value)} ({each.cases})" if each else "–" for each in shares)])
     return Table(
-        ["plan", *(f"{limits:g}x" for limits in limits)], rows, "Share detected, with the number of cases in brackets."
+        ["plan", *(f"{limits:g}x" for limits in sizes)], rows, "Share detected, with the number of cases in brackets."
     )
 
 

@@ -206,13 +206,13 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
     inside = np.nan_to_num(smaller)
     for at in np.flatnonzero((inside[1:] > 0) & (inside[:-1] > 0)) + 1:  # the part of the previous row is subtracted
         smaller[at] = inside[at] = max(min(before[at] - inside[at - 1], after[at]), 0.0)
-    behind, ahead = np.concatenate([[0.0], inside[:-1]]), np.concatenate([inside[1:], [0.0]])
+    previous, ahead = np.concatenate([[0.0], inside[:-1]]), np.concatenate([inside[1:], [0.0]])
     first = np.clip(after - ahead, 0.0, None)
     # The waits of both rows of a frame with two rows follow from one interval.
     lonely = np.isnan(np.concatenate([smaller[1:], edge]))
     first = np.where(lonely, np.clip(np.fmin(first, starts), 0.0, None), first)
     carried = np.concatenate([[0.0], np.nan_to_num(np.where(np.isnan(before), first, 0.0))[:-1]])
-    last = np.clip(before - np.where(behind > 0, behind, carried), 0.0, None)
+    last = np.clip(before - np.where(previous > 0, previous, carried), 0.0, None)
     return np.asarray(np.nan_to_num(np.where(np.isfinite(smaller), smaller, np.where(np.isfinite(after), first, last))))
 
 

@@ -94,13 +94,13 @@ def table_of(figure: Figure) -> Any:
     return figure.model_dump(exclude_defaults=True) if isinstance(figure, Spread) else figure
 
 
-def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dict[str, Any]:
-    """Return the recipe with numbers in place of populations: their means (`away` 0), or their lower or upper ends (-1,
+def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], side: int) -> dict[str, Any]:
+    """Return the recipe with numbers in place of populations: their means (`side` 0), or their lower or upper ends (-1,
     +1). `spelled` are the effect's parameters by key.
     """
 
     def end(_: int, spread: Spread) -> float:
-        return spread.mean + away * spread.reach
+        return spread.mean + side * spread.reach
 
     return {key: _fill(figure, _count(spelled.get(key)), end) for key, figure in recipe.items()}
 

@@ -196,9 +196,9 @@ class GapFilledTimes:
         """Return the times in the log, including those of the lost rows."""
         if stop <= start:
             return np.zeros(0, np.int64)
-        behind = bisect_right(self._ends, start)  # holes
-        if behind == len(self._ends) or self._ends[behind] - self.missing[behind] >= stop:
-            lead = self._ends[behind - 1] - int(self.before[behind - 1]) if behind else 0
+        holes_before = bisect_right(self._ends, start)  # holes
+        if holes_before == len(self._ends) or self._ends[holes_before] - self.missing[holes_before] >= stop:
+            lead = self._ends[holes_before - 1] - int(self.before[holes_before - 1]) if holes_before else 0
             return self.recorded.stamps(start - lead, stop - lead)
         return self._stamps_of_rows(np.arange(start, stop))
 

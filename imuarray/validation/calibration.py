@@ -180,7 +180,7 @@ def probabilities_of(claims: Sequence[CauseClaim], rates: Rates) -> Floats:
 @click.argument("runs", type=click.Path(exists=True, file_okay=False, path_type=Path), nargs=-1, required=True)
 def program(runs: tuple[Path, ...]) -> None:
     """Measure how often reported causes are right."""
-    answers = [claim for run in runs for claim in read_run(run).answers]
+    answers = [answer for run in runs for answer in read_run(run).answers]
     claims = claims_in(answers)
     sole = [claim for claim in claims if claim.share >= _SOLE]
     click.echo(f"{len(claims)} causes, {sum(claim.is_right for claim in claims)} right; without a rival {len(sole)}:")

@@ -51,7 +51,7 @@ class Rows(NamedTuple):
     at_s: Floats
     time: Integers
     counts: Floats
-    kept: Any = slice(None)
+    arriving: Any = slice(None)
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ class Injection:
 
 def _wander(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Add a first-order Gauss-Markov process of `size` counts rms."""
-    kept = np.exp(-np.diff(rows.at_s, prepend=rows.at_s[0]) / WANDER_S)
-    steps = random.standard_normal(len(rows.at_s)) * np.sqrt(1 - kept**2)
+    remaining = np.exp(-np.diff(rows.at_s, prepend=rows.at_s[0]) / WANDER_S)
+    steps = random.standard_normal(len(rows.at_s)) * np.sqrt(1 - remaining**2)
     path, value = np.empty(len(rows.at_s)), float(random.standard_normal())
-    for row, (share, step) in enumerate(zip(kept.tolist(), steps.tolist(), strict=True)):
+    for row, (share, step) in enumerate(zip(remaining.tolist(), steps.tolist(), strict=True)):
         value = share * value + step
         path[row] = value
     return _add_to_axis(rows, axis, size * path, random)
@@ -92,8 +92,8 @@ def _line(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Ro
 
 def _drop(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Drop this share of the rows at random."""
-    kept = random.random(len(rows.at_s)) >= size
-    return Rows(rows.at_s[kept], rows.time[kept], rows.counts[kept], kept)
+    arriving = random.random(len(rows.at_s)) >= size
+    return Rows(rows.at_s[arriving], rows.time[arriving], rows.counts[arriving], arriving)
 
 
 def _even(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
@@ -151,8 +151,8 @@ def write_cases(
     numbers = [f"{first:03d}"]
     with ExitStack() as stack:
         plain = [stack.enter_context(open_log(path)) for path in logs]
-        sensors = {name: log for name, log in plain[0].sensors.items() if log.is_triad and len(log)}
-        chips = {name: log.chip for name, log in sensors.items()}
+        sensors = {name: sensor for name, sensor in plain[0].sensors.items() if sensor.is_triad and len(sensor)}
+        chips = {name: sensor.chip for name, sensor in sensors.items()}
         about = {"world": "real", "sensors": chips, "experiments": [path.stem for path in logs]}
         _copy_logs(logs, folder / numbers[0])
         write_truth(folder, numbers[0], {**about, "kind": "control", "effects": []})
@@ -200,7 +200,7 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
         columns = {"time": rows.time, "counts": np.clip(np.round(rows.counts), span.min, span.max).astype(counts.dtype)}
         for name, dataset in group.items():
             if isinstance(dataset, h5py.Dataset) and len(dataset) == len(time):
-                values = columns[name] if name in columns else dataset[:][rows.kept]
+                values = columns[name] if name in columns else dataset[:][rows.arriving]
                 dataset.resize(len(rows.time), axis=0)
                 dataset[:] = values
 

@@ -206,8 +206,8 @@ def restrict(
                 )
     for severity in severities:
         if severity not in SEVERITIES:
-            known_severities = ", ".join(f"{known:g}" for known in SEVERITIES)
-            raise ConfigError(f"severity {severity:g} detection limits; allowed are {known_severities}")
+            allowed = ", ".join(f"{limits:g}" for limits in SEVERITIES)
+            raise ConfigError(f"severity {severity:g} detection limits; allowed are {allowed}")
     if severities:
         size = replace(size, severities=tuple(sorted(set(severities))))
     if repeats is None:

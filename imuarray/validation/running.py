@@ -55,8 +55,8 @@ def executor_of(text: str, workers: int) -> Iterator[Workers]:
     scheduler answers.
     """
     if text == "processes":
-        with Processes(workers) as here:
-            yield here
+        with Processes(workers) as own:
+            yield own
     elif _ADDRESS.fullmatch(text):
         with closing(_client(text)) as client:
             yield Cluster(client)

@@ -315,11 +315,11 @@ def _axes(parameters: Mapping[str, Any]) -> Iterable[str]:
 
 def _is_idle(truth: Mapping[str, Any]) -> bool:
     """Return whether a mechanism that logs the sensors it affects affected none in any log."""
-    said: dict[str, bool] = {}
+    has_affected: dict[str, bool] = {}
     for log in truth.get("logs") or ():
         for mechanism, sensors in log.get("touched", {}).items():
-            said[mechanism] = said.get(mechanism, False) or bool(sensors)
-    return not all(said.values())
+            has_affected[mechanism] = has_affected.get(mechanism, False) or bool(sensors)
+    return not all(has_affected.values())
 
 
 def _differs(case: Case, truth: Mapping[str, Any]) -> bool:

@@ -255,8 +255,8 @@ def is_reported_undetermined(answer: Answer) -> bool:
 
 def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[DetectionCurve, ...]:
     """Return the detection curves of all plans together and of each; for random worlds by experiment."""
-    find_severity = [answer for answer in shown_singles(answers, hidden) if answer.limits == answer.limits]
-    parts = group_answers("experiment" if any(answer.case.world for answer in find_severity) else "plan", find_severity)
+    sized = [answer for answer in shown_singles(answers, hidden) if answer.limits == answer.limits]
+    parts = group_answers("experiment" if any(answer.case.world for answer in sized) else "plan", sized)
     return tuple(
         DetectionCurve(
             plan,
@@ -264,7 +264,7 @@ def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[DetectionCurve
                 (own[0].limits, rate_of(own, Answer.is_detected)) for own in group_answers("severity", part).values()
             ),
         )
-        for plan, part in {"all": find_severity, **parts}.items()
+        for plan, part in {"all": sized, **parts}.items()
         if part
     )
 

@@ -82,12 +82,12 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
         return CaseRecording(case, *record(folder, case.plan, case.puts, case.seed))
     world = draw_world(case.draw).table()
     with_reference = {**world, "recorder": {**world["recorder"], "reference": True}}
-    made: dict[tuple[Put, ...], tuple[list[Path], dict[str, Any]]] = {}
+    trials: dict[tuple[Put, ...], tuple[list[Path], dict[str, Any]]] = {}
 
     def written(*puts: Put) -> list[Path]:
-        if puts not in made:
-            made[puts] = record_in(with_reference, folder / f"{len(made)}", puts, case.seed)
-        return made[puts][0]
+        if puts not in trials:
+            trials[puts] = record_in(with_reference, folder / f"{len(trials)}", puts, case.seed)
+        return trials[puts][0]
 
     puts = []
     with ExitStack() as stack:
@@ -113,7 +113,7 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
     if not world["recorder"]["reference"]:
         for path in logs:
             leave_reference_out(path)
-    truth = {**made[tuple(named)][1], "world": world, "limits": [put.limits for put in puts]}
+    truth = {**trials[tuple(named)][1], "world": world, "limits": [put.limits for put in puts]}
     return CaseRecording(replace(case, puts=tuple(puts)), logs, truth)
 
 

@@ -314,7 +314,7 @@ def _rates(
             slow = [rate for rate in CHIPS[queued[sensor]["chip"]].rates_hz if 50 <= rate <= min(400.0, 8 * wanted)]
             _queue(queued[sensor], float(random.choice(slow)), random)
     least_s = sum(_LEAST_S[kind] for kind in kinds)
-    for rate_hz in reversed([sensor for sensor in RATES_HZ if sensor <= wanted]):
+    for rate_hz in reversed([allowed_hz for allowed_hz in RATES_HZ if allowed_hz <= wanted]):
         rates = {sensor["name"]: _rate(sensor, rate_hz) for sensor in sensors}
         total = sum(rates.values())
         if total <= MOST_READINGS_PER_S and total * least_s <= MOST_ROWS:

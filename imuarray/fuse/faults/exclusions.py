@@ -155,16 +155,16 @@ def needs(offences: int, window_s: float) -> int:
     return max(1, round(min(AGREES_S * 2.0 ** (offences - 1), _LONGEST_S) / window_s))
 
 
-def agreeing(seen: WindowResiduals, normal: NormalModel, present: Booleans) -> Booleans:
+def agreeing(residuals: WindowResiduals, normal: NormalModel, present: Booleans) -> Booleans:
     """Return (m,) the axes, included or not, whose readings agree with the included ones and the normal model."""
-    mean = seen.means**2 < AGREES * seen.spread
-    centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)
-    variances = ((seen.rows @ seen.white.spread) * seen.rows).sum(axis=1)
-    known = seen.regressors - seen.regressors.mean(axis=1, keepdims=True)
+    mean = residuals.means**2 < AGREES * residuals.spread
+    centred = np.where(residuals.residual == 0, 0.0, residuals.residual - residuals.means)
+    variances = ((residuals.rows @ residuals.white.spread) * residuals.rows).sum(axis=1)
+    known = residuals.regressors - residuals.regressors.mean(axis=1, keepdims=True)
     doubt = normal.doubt_within(known)
     total = normal.variance + variances + doubt
     energy = (centred**2).sum(axis=0) / total
-    limit = energy_limit(len(seen.triad), normal.colour, doubt / total)
+    limit = energy_limit(len(residuals.triad), normal.colour, doubt / total)
     return np.asarray(mean & (energy < limit / 2) & present)
 
 

@@ -61,9 +61,9 @@ class Silence:
 
     def __call__(self, present: Booleans, time_ns: int, report: FaultReport) -> None:
         """Process the next window, with the axes (m,) that have enough readings in it."""
-        there = present.reshape(-1, 3).any(axis=1)
-        self._absent = np.where(there, 0, self._absent + 1)
-        self._heard = np.where(there, self._heard + 1, 0)
+        present_sensors = present.reshape(-1, 3).any(axis=1)
+        self._absent = np.where(present_sensors, 0, self._absent + 1)
+        self._heard = np.where(present_sensors, self._heard + 1, 0)
         for sensor in np.flatnonzero(~self._reported & (self._absent >= self._patience)).tolist():
             report.silent(sensor, self._patience * self._window_s, time_ns)
             self._reported[sensor] = True
@@ -249,17 +249,17 @@ class FaultIsolation:
         """Exclude sensors in addition to those `before`, and readmit others."""
         time_ns = int(window.time[0])
         waiting = [e for e in self._out if not e.named and before[list(e.axes)].any()]
-        seen, doubted = self._search(window, time_ns)
-        if seen is not None:
+        residuals, doubted = self._search(window, time_ns)
+        if residuals is not None:
             for exclusion in waiting:
                 if any(exclusion is each for each in self._out):  # else it has become part of another one
-                    self._name(exclusion, seen, window)
-            self._learn(seen, window, doubted)
+                    self._name(exclusion, residuals, window)
+            self._learn(residuals, window, doubted)
         new = self.out & ~before
         for mask in masks:
             mask |= new
-        if seen is not None and self._out:
-            self._readmit(seen, window.present, time_ns)
+        if residuals is not None and self._out:
+            self._readmit(residuals, window.present, time_ns)
         masks[-1][self.out] = True
 
     def close(self) -> None:
@@ -274,40 +274,40 @@ class FaultIsolation:
         """
         none = np.zeros(len(self._axes), bool)
         for _ in range(_MOST):
-            seen = self._residuals(window)
-            if seen is None:
+            residuals = self._residuals(window)
+            if residuals is None:
                 return None, none
-            suspect, drifted = strongest(seen, self._normal), 0.0
+            suspect, drifted = strongest(residuals, self._normal), 0.0
             shared = 0.0
             if suspect is not None:
-                shared = max(disagreement(seen, self._normal), unresolved_motion(window, seen))
+                shared = max(disagreement(residuals, self._normal), unresolved_motion(window, residuals))
             if shared > 0:
-                suspect = strongest(seen, self._normal, shared)
+                suspect = strongest(residuals, self._normal, shared)
                 if suspect is None:
                     self.report.count_disagreement()
-                    return seen, ~none
+                    return residuals, ~none
             if suspect is None and self._count % _BASELINE_WINDOWS == 0:
-                suspect, drifted = self._baseline.departed(seen.included, seen.usual, self._normal)
+                suspect, drifted = self._baseline.departed(residuals.included, residuals.usual, self._normal)
             if suspect is None:
-                return seen, none
+                return residuals, none
             if suspect.rivals:
-                suspect = separate_rivals(suspect, window, seen, self._normal, self._reset) or suspect
+                suspect = separate_rivals(suspect, window, residuals, self._normal, self._reset) or suspect
             if suspect.rivals or not self._exclude(suspect, time_ns, drifted, window):
-                return seen, self._doubt(suspect, seen, window, drifted)
+                return residuals, self._doubt(suspect, residuals, window, drifted)
         return self._residuals(window), none
 
     def _residuals(self, window: DecisionWindow) -> WindowResiduals | None:
         """Return the residuals of the window by the axes in use; report once if these can't check each other."""
-        seen = self._residuals_by(~self.out, window)
+        residuals = self._residuals_by(~self.out, window)
         if (
             self._out
             and self._out[-1].named
             and not self._blind
-            and (seen is None or not seen.white.observable[seen.included].any())
+            and (residuals is None or not residuals.white.observable[residuals.included].any())
         ):
             self._blind = True
             self.report.blind(self._out[-1].sensor, int(window.time[0]))
-        return seen
+        return residuals
 
     def _residuals_by(self, included: Booleans, window: DecisionWindow) -> WindowResiduals | None:
         """Return the residuals of the window by the axes `included`."""
@@ -328,31 +328,31 @@ class FaultIsolation:
         self._out.append(exclusion)
         for axis in axes if drifted else ():
             self._baseline.reset(axis, self._normal)
-        seen = None if window is None else self._residuals_by(~out, window)
-        if window is not None and seen is not None:
-            exclusion.first = self._kind(exclusion.sensor, exclusion.axes, drifted, seen, window)
+        residuals = None if window is None else self._residuals_by(~out, window)
+        if window is not None and residuals is not None:
+            exclusion.first = self._kind(exclusion.sensor, exclusion.axes, drifted, residuals, window)
         return True
 
     def _kind(
-        self, sensor: int, axes: Sequence[int], drifted: float, seen: WindowResiduals, window: DecisionWindow
+        self, sensor: int, axes: Sequence[int], drifted: float, residuals: WindowResiduals, window: DecisionWindow
     ) -> FaultKind | None:
         """Return the kind of fault that a window shows; None if it shows none."""
         if drifted:
             return FaultKind("random_walk", drifted)
-        view = compare_triad(seen, window, self._normal, _members(sensor))
+        view = compare_triad(residuals, window, self._normal, _members(sensor))
         return None if view is None else fault_kind(view, [axis % 3 for axis in axes], self._reset(view, sensor))
 
     def _reset(self, view: TriadComparison, sensor: int) -> tuple[float, float] | None:
         """Return the range that explains the comparison of a sensor with the others."""
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
-    def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: DecisionWindow) -> None:
+    def _name(self, exclusion: Exclusion, residuals: WindowResiduals, window: DecisionWindow) -> None:
         """Determine and report the kind of a fault one window after its detection, when it fills a window. A sensor
         that is stuck or measures in another range is excluded as a whole.
         """
-        agrees = agreeing(seen, self._normal, window.present)[list(exclusion.axes)].all()
+        agrees = agreeing(residuals, self._normal, window.present)[list(exclusion.axes)].all()
         is_over = agrees and not self._still.standing[exclusion.sensor]
-        now = None if is_over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, seen, window)
+        now = None if is_over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, residuals, window)
         exclusion.kind = now or exclusion.first
         if exclusion.kind is not None and exclusion.kind.whole:
             out = self.out
@@ -363,38 +363,38 @@ class FaultIsolation:
                 exclusion.axes = _members(exclusion.sensor)
         self.report.isolated(exclusion, exclusion.kind)
 
-    def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: DecisionWindow, drifted: float) -> Booleans:
+    def _doubt(self, suspect: Suspect, residuals: WindowResiduals, window: DecisionWindow, drifted: float) -> Booleans:
         """Count the windows with a fault that is not isolated, and report it if it lasts. Return the axes (m,) of the
         sensors that may have it.
         """
         sensor = suspect.axes[0] // 3
-        among = sorted({sensor, *suspect.rivals})
-        count, last = self._doubts.get(among[0], (0, -_FORGOTTEN_WINDOWS))
+        candidates = sorted({sensor, *suspect.rivals})
+        count, last = self._doubts.get(candidates[0], (0, -_FORGOTTEN_WINDOWS))
         count = count + 1 if self._count - last < _FORGOTTEN_WINDOWS else 1
-        self._doubts[among[0]] = (count, self._count)
+        self._doubts[candidates[0]] = (count, self._count)
         if count == _DOUBTFUL_WINDOWS:
             others = ~self.out
             others[list(suspect.axes)] = False
-            by_others = self._residuals_by(others, window) or seen
+            by_others = self._residuals_by(others, window) or residuals
             kind = self._kind(sensor, suspect.axes, drifted, by_others, window)
             self.report.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
         doubted = np.zeros(len(self._axes), bool)
-        doubted.reshape(-1, 3)[among] = True
+        doubted.reshape(-1, 3)[candidates] = True
         return doubted
 
-    def _learn(self, seen: WindowResiduals, window: DecisionWindow, doubted: Booleans) -> None:
+    def _learn(self, residuals: WindowResiduals, window: DecisionWindow, doubted: Booleans) -> None:
         """Update the normal model from the readings of axes without a fault."""
-        gains = seen.slow.axis_gains(seen.means)
-        sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
-        self._normal.learn(seen.regressors, seen.residual, sound)
-        whole = sound & (seen.counts == len(seen.triad)) & seen.white.observable
+        gains = residuals.slow.axis_gains(residuals.means)
+        sound = residuals.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
+        self._normal.learn(residuals.regressors, residuals.residual, sound)
+        whole = sound & (residuals.counts == len(residuals.triad)) & residuals.white.observable
         whole &= window.changes > QUIETEST * self._normal.change
-        share = seen.white.matrix.diagonal() * self._normal.variance
-        self._normal.learn_noise(seen.residual, seen.means, share, seen.counts, whole)
+        share = residuals.white.matrix.diagonal() * self._normal.variance
+        self._normal.learn_noise(residuals.residual, residuals.means, share, residuals.counts, whole)
 
-    def _readmit(self, seen: WindowResiduals, present: Booleans, time_ns: int) -> None:
+    def _readmit(self, residuals: WindowResiduals, present: Booleans, time_ns: int) -> None:
         """Readmit axes that have agreed for long enough."""
-        agrees = agreeing(seen, self._normal, present) & ~np.repeat(self._still.standing, 3)
+        agrees = agreeing(residuals, self._normal, present) & ~np.repeat(self._still.standing, 3)
         for exclusion in list(self._out):
             if exclusion.update(agrees):
                 self._out.remove(exclusion)

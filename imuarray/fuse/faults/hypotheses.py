@@ -94,18 +94,18 @@ class TriadComparison:
 
 
 def compare_triad(
-    seen: WindowResiduals, window: DecisionWindow, normal: NormalModel, axes: Sequence[int]
+    residuals: WindowResiduals, window: DecisionWindow, normal: NormalModel, axes: Sequence[int]
 ) -> TriadComparison | None:
-    """Compare a triad (its three `axes`) with the axes included in `seen`; None if it has too few valid readings."""
+    """Compare a triad (its three `axes`) with the axes included in `residuals`; None for too few valid readings."""
     members = list(axes)
     rows = window.valid[:, members].all(axis=1)
     if rows.sum() < 3:
         return None
-    expected = seen.triad @ seen.rows[members].T
+    expected = residuals.triad @ residuals.rows[members].T
     with np.errstate(invalid="ignore"):
         quiet = float(np.mean(window.changes[members] / normal.change[members]))
     stale = bool(window.stale is not None and window.stale[rows][:, members].all())
-    own = expected[rows] + seen.residual[rows][:, members]
+    own = expected[rows] + residuals.residual[rows][:, members]
     return TriadComparison(own, expected[rows], np.sqrt(normal.variance[members]), quiet, stale)
 
 
@@ -198,26 +198,26 @@ class Suspect:
     rivals: tuple[int, ...] = ()
 
 
-def strongest(seen: WindowResiduals, normal: NormalModel, disagreement: float = 0.0) -> Suspect | None:
+def strongest(residuals: WindowResiduals, normal: NormalModel, disagreement: float = 0.0) -> Suspect | None:
     """Return the most likely fault of a window, None if it shows none.
 
     `disagreement` is the variance of single readings (SI) by which the sensors differ from each other beyond noise in
     this window.
     """
-    axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
-    energy, lasting = seen.energies(normal)
+    axis, sensor = residuals.slow.axis_gains(residuals.means), residuals.slow.sensor_gains(residuals.means)
+    energy, lasting = residuals.energies(normal)
     if disagreement > 0:
-        known = seen.doubt / (seen.doubt + disagreement)
+        known = residuals.doubt / (residuals.doubt + disagreement)
         axis, sensor = axis * known, sensor * known.reshape(-1, 3).max(axis=1)
         energy = energy * normal.variance / (normal.variance + disagreement)
-    limit = energy_limit(len(seen.triad), normal.colour, lasting)
+    limit = energy_limit(len(residuals.triad), normal.colour, lasting)
     by_mean = max(float(axis.max()) / AXIS_GAIN, float(sensor.max()) / SENSOR_GAIN)
     by_energy = float((energy / limit).max())
     if max(by_mean, by_energy) < 1:
         return None
     if by_energy > by_mean:
         return _energy_suspect(energy, limit)
-    return _mean_suspect(axis, sensor, seen)
+    return _mean_suspect(axis, sensor, residuals)
 
 
 _FEWEST_SENSORS = 4
@@ -236,7 +236,7 @@ _USUAL_READING = 9.0
 """Largest usual square of a single normal reading, over its variance: three standard deviations."""
 
 
-def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
+def disagreement(residuals: WindowResiduals, normal: NormalModel) -> float:
     """Return the variance (SI) of single readings by which at least half of the sensors differ from the others in this
     window, beyond noise, on average or in one frame; 0 if fewer do, infinite if too few have three complete readings,
     for example if most clip.
@@ -245,16 +245,16 @@ def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
     disagree at once; a knock may end within one frame. One faulty sensor of four or more does not contribute, because
     each is compared with the median.
     """
-    shown: Booleans = np.asarray((seen.residual != 0).T.reshape(-1, 3, len(seen.triad)).all(axis=1))  # (s, n)
-    used: Booleans = np.asarray(seen.included.reshape(-1, 3).any(axis=1))
+    shown: Booleans = np.asarray((residuals.residual != 0).T.reshape(-1, 3, len(residuals.triad)).all(axis=1))  # (s, n)
+    used: Booleans = np.asarray(residuals.included.reshape(-1, 3).any(axis=1))
     if used.sum() < _FEWEST_SENSORS:
         return 0.0
     frames = shown[used].sum(axis=0) >= _FEWEST_SENSORS
     whole = used & (shown[:, frames].sum(axis=1) >= _FEWEST_READINGS)
     if whole.sum() < _FEWEST_SENSORS or not shown[whole][:, frames].any(axis=0).all():
         return np.inf
-    residual = seen.residual[frames].T.reshape(len(used), 3, -1)[whole]
-    off = np.linalg.solve(seen.rows.reshape(-1, 3, 3)[whole], residual)  # (s, 3, n), along the box
+    residual = residuals.residual[frames].T.reshape(len(used), 3, -1)[whole]
+    off = np.linalg.solve(residuals.rows.reshape(-1, 3, 3)[whole], residual)  # (s, 3, n), along the box
     off[np.repeat(~shown[whole][:, None, frames], 3, axis=1)] = np.nan
     squares = (off - np.nanmedian(off, axis=0)) ** 2
     noise = normal.variance.reshape(-1, 3)[whole].max(axis=1)
@@ -273,7 +273,7 @@ _CERTAIN_MOTION = 100.0
 """Least mean square of the changes of the triad, over that by noise, that counts as motion."""
 
 
-def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
+def unresolved_motion(window: DecisionWindow, residuals: WindowResiduals) -> float:
     """Return the variance (SI) of single readings by motion that is too fast for the rate of the rows; 0 if there is no
     such motion.
 
@@ -283,12 +283,12 @@ def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
     from the neighbouring rows is too small; it vanishes at f T = 1/2. First differences over T are too small by
     ``sin(pi f T) / (pi f T)``, which is at least 2 / pi for f T up to 1/2.
     """
-    first = np.diff(seen.triad, axis=0)
+    first = np.diff(residuals.triad, axis=0)
     periods_s = np.diff(window.time) * 1e-9
     if len(first) < 2 or periods_s.min() < _SLOW_ROWS_S or not np.isfinite(first).all():
         return 0.0
     square, second = float((first**2).sum() / len(first)), float((np.diff(first, axis=0) ** 2).sum() / (len(first) - 1))
-    if square < 2 * _CERTAIN_MOTION * float(np.trace(seen.white.spread)) or second < square:
+    if square < 2 * _CERTAIN_MOTION * float(np.trace(residuals.white.spread)) or second < square:
         return 0.0
     slopes = first / periods_s[:, None]
     return float((np.pi / 2 * DELAY_S) ** 2 * (slopes**2).mean(axis=0).max())
@@ -304,7 +304,7 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     return np.asarray((1 - lasting) * by_noise + lasting * frames * AXIS_GAIN)
 
 
-def _mean_suspect(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
+def _mean_suspect(axis: Floats, sensor: Floats, residuals: WindowResiduals) -> Suspect:
     """Return the hypothesis for the means: the sensor with the greatest gain, or its one axis with nearly all of that
     gain.
     """
@@ -312,7 +312,7 @@ def _mean_suspect(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspec
     members = np.arange(3 * best, 3 * best + 3)
     item = int(members[axis[members].argmax()])
     alone = sensor[best] - axis[item] < _MORE_AXES
-    axes = (item,) if alone else tuple(int(index) for index in members if seen.included[index])
+    axes = (item,) if alone else tuple(int(index) for index in members if residuals.included[index])
     gain = float(axis[item] if alone else sensor[best])
     return Suspect(axes, gain, "mean", _rivals(sensor, best, gain))
 
@@ -366,7 +366,7 @@ class Baseline:
     def __init__(self, rows: Floats, quantity: str) -> None:
         self._spaces = Spaces(rows)
         self._limit = DRIFT_SI[quantity]
-        self._seen = np.zeros(len(rows))
+        self._windows = np.zeros(len(rows))
         self._state: Floats | None = None
         self._covariance: Floats | None = None
 
@@ -377,7 +377,7 @@ class Baseline:
         Call it at equal intervals: an axis is settled after `_SETTLED` of them.
         """
         self._settle(included, normal)
-        shares = self._shares(included & (self._seen >= _SETTLED), usual, normal)
+        shares = self._shares(included & (self._windows >= _SETTLED), usual, normal)
         if shares is None:
             return None, 0.0
         share, departure, allowed = shares
@@ -391,7 +391,7 @@ class Baseline:
 
     def limits(self, included: Booleans) -> DriftLimits | None:
         """Return the limits with these axes (m,); None while one of them has not settled, so that they will change."""
-        if self._state is None or self._covariance is None or (included & (self._seen < _SETTLED)).any():
+        if self._state is None or self._covariance is None or (included & (self._windows < _SETTLED)).any():
             return None
         space = self._spaces(included.astype(float))
         shares = np.zeros((len(included), len(included))) if space is None else space.deleted * included
@@ -399,7 +399,7 @@ class Baseline:
 
     def stayed(self, included: Booleans, times: int = 1) -> None:
         """Count the axes, as `departed` does, so many times."""
-        self._seen += included * times
+        self._windows += included * times
 
     def _shares(self, begun: Booleans, usual: Floats, normal: NormalModel) -> tuple[Floats, Floats, Floats] | None:
         """Return the drift of each axis over its limit, the drift, and the limit, all (m,); None if the axes that have
@@ -424,10 +424,10 @@ class Baseline:
 
     def _settle(self, included: Booleans, normal: NormalModel) -> None:
         """Store the state of each axis when it has been in use for long enough."""
-        self._seen += included
+        self._windows += included
         if self._state is None or self._covariance is None:
             self._state, self._covariance = normal.state.copy(), normal.covariance.copy()
-        now = included & (self._seen == _SETTLED)
+        now = included & (self._windows == _SETTLED)
         self._state[now], self._covariance[now] = normal.state[now], normal.covariance[now]
 
 
@@ -442,7 +442,7 @@ _CALM = 2.0
 
 
 def separate_rivals(
-    suspect: Suspect, window: DecisionWindow, seen: WindowResiduals, normal: NormalModel, resets: Resets
+    suspect: Suspect, window: DecisionWindow, residuals: WindowResiduals, normal: NormalModel, resets: Resets
 ) -> Suspect | None:
     """Return the suspect or one of its rivals, as a whole sensor, if it is the only one that stands still, that reads
     as in another range of its chip, or that is noisy while all others are as usual; None if there is none or several.
@@ -450,9 +450,9 @@ def separate_rivals(
     views = {}
     for sensor in (suspect.axes[0] // 3, *suspect.rivals):
         members = np.arange(3 * sensor, 3 * sensor + 3)
-        rest = seen.included.copy()
+        rest = residuals.included.copy()
         rest[members] = False
-        without = window_residuals(window, normal, seen.rows, rest, Spaces(seen.rows))
+        without = window_residuals(window, normal, residuals.rows, rest, Spaces(residuals.rows))
         view = None if without is None else compare_triad(without, window, normal, members.tolist())
         if view is None:
             return None

@@ -104,7 +104,7 @@ class Dynamics:
             return False
         sums = _RegressionSums(terms, rows) if evidence is None else evidence.sums_of(valid)
         weights = np.empty(count)
-        given = (
+        inputs = (
             np.ascontiguousarray(readings.values, float),
             packed,
             self._triad[:back],
@@ -112,7 +112,7 @@ class Dynamics:
             self._time[:back],
         )
         done, change = compiled.frames(
-            (*given, into.unknowns, into.covariance, weights, sums.squares, sums.products, sums.blur),
+            (*inputs, into.unknowns, into.covariance, weights, sums.squares, sums.products, sums.blur),
             (count, rows, unknowns, terms, back),
             evidence is not None,
             view.reach,
@@ -256,15 +256,15 @@ def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse
     """Return the measurements (p, n) and values (p,) by the sums over frames with one parity."""
     size, (terms, rows, states) = len(parity), response.dense.shape
     measured = np.empty((terms * size, states)), np.empty(terms * size)
-    given = (sums.squares, sums.products, sums.blur, parity, *response.sparse)
+    inputs = (sums.squares, sums.products, sums.blur, parity, *response.sparse)
     count, entries = -1, len(response.sparse[1])
     if compiled.COMPILED:
-        count = compiled.measure((*given, *measured), (states, terms, rows, entries, size), _DOUBT)
+        count = compiled.measure((*inputs, *measured), (states, terms, rows, entries, size), _DOUBT)
     if count >= 0:
         return measured[0][: count * size], measured[1][: count * size]
     sizes, weights = _components(sums)
-    seen = weights @ (parity @ response.dense).reshape(terms, size * states)
-    scaled = seen.reshape(len(sizes), size, states) * sizes[:, None, None]
+    responses = weights @ (parity @ response.dense).reshape(terms, size * states)
+    scaled = responses.reshape(len(sizes), size, states) * sizes[:, None, None]
     return scaled.reshape(len(sizes) * size, states), (weights @ sums.products @ parity.T / sizes[:, None]).ravel()
 
 

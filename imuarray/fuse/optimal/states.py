@@ -66,14 +66,14 @@ def corrected(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, 
     """Return the states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
     posterior = Gaussian(np.empty(prior.mean.shape), np.empty(prior.covariance.shape))
     step = Innovation(np.empty(rows.shape), np.empty(rows.shape), np.empty(values.shape))
-    given = (*prior, np.ascontiguousarray(rows), np.ascontiguousarray(values))
-    if compiled.COMPILED and compiled.correct((*given, *posterior, *step), (rows.shape[1], len(rows))):
+    inputs = (*prior, np.ascontiguousarray(rows), np.ascontiguousarray(values))
+    if compiled.COMPILED and compiled.correct((*inputs, *posterior, *step), (rows.shape[1], len(rows))):
         return posterior, step
-    seen = rows @ prior.covariance
-    innovations = seen @ rows.T
+    covariances = rows @ prior.covariance
+    innovations = covariances @ rows.T
     innovations.ravel()[:: len(rows) + 1] += 1.0  # the diagonal
     inverse_root = np.linalg.inv(np.linalg.cholesky(innovations))
-    step = Innovation(inverse_root @ rows, inverse_root @ seen, inverse_root @ (values - rows @ prior.mean))
+    step = Innovation(inverse_root @ rows, inverse_root @ covariances, inverse_root @ (values - rows @ prior.mean))
     return updated(prior, step), step
 
 
@@ -139,8 +139,8 @@ class StateResponse:
         """
         terms, rows, _ = self.dense.shape
         drift = Drift(np.empty(rows), np.empty((rows, terms, rows)))
-        given = (*belief, *adjoint, drifting, *self.sparse)
-        if compiled.COMPILED and compiled.drifts((*given, *drift), self._sizes):
+        inputs = (*belief, *adjoint, drifting, *self.sparse)
+        if compiled.COMPILED and compiled.drifts((*inputs, *drift), self._sizes):
             return drift
         moving = np.where(drifting, self.dense[0], 0.0)
         cross = moving @ belief.covariance
@@ -193,7 +193,7 @@ def _smooth_alike(
     response, count = steps[0].response, len(steps)
     terms, rows, _ = response.dense.shape
     measurements = np.array([len(step.innovation.values) for step in steps], np.int64)
-    given = (
+    inputs = (
         *belief,
         np.array([step.remaining for step in steps]),
         np.array([step.added for step in steps]),
@@ -205,7 +205,7 @@ def _smooth_alike(
     before = Adjoint(later.vector.copy(), later.matrix.copy())
     offsets, errors = np.empty((count, rows)), np.empty((count, rows, terms, rows))
     sizes = (len(drifting), terms, rows, len(response.sparse[1]), count, int(measurements.sum()))
-    if not compiled.smooth((*given, *before, offsets, errors), sizes):
+    if not compiled.smooth((*inputs, *before, offsets, errors), sizes):
         return None
     return [Drift(*parts) for parts in zip(offsets, errors, strict=True)], before
 

@@ -217,7 +217,7 @@ class CommonErrorEstimate:
         self._spread = 1 / len(group.along) + 1 / len(group.against)
         self._limits = _limits(len(group.along), len(group.against))
         self._level = np.zeros(len(self.members))
-        self._seen = 0
+        self._rows = 0
         self._sums = np.zeros((2, 1 + len(self.members)))
 
     def estimate(self, time: npt.NDArray[np.int64], residual: Floats, valid: npt.NDArray[np.bool_]) -> Floats:
@@ -227,7 +227,7 @@ class CommonErrorEstimate:
         errors = np.where(valid[:, self.members], residual[:, self.members], np.nan)
         slow = self._slow(time, errors)
         start = self._slow.begin  # the level is the low-pass at this row
-        if start < len(slow) and self._seen == 0:
+        if start < len(slow) and self._rows == 0:
             self._level = slow[start].copy()
         level = np.concatenate([slow[:start], np.broadcast_to(self._level, (len(slow) - start, len(self.members)))])
         parts = self._parts(level)
@@ -249,9 +249,9 @@ class CommonErrorEstimate:
     def _variances(self, parts: Floats) -> Floats:
         """Return the sums of squares (n, 1 + m) about the mean in time, over all rows so far."""
         sums = self._sums[:, None, :] + np.cumsum([parts, parts**2], axis=1)
-        number = self._seen + np.arange(1, len(parts) + 1)[:, None]
+        number = self._rows + np.arange(1, len(parts) + 1)[:, None]
         if len(parts):
-            self._seen, self._sums = int(number[-1, 0]), sums[:, -1]
+            self._rows, self._sums = int(number[-1, 0]), sums[:, -1]
         return np.asarray(np.maximum(sums[1] - sums[0] ** 2 / number, 0))
 
     def _trust(self, squares: Floats) -> Floats:
@@ -277,7 +277,7 @@ class Smoother:
         self._span_ns = seconds * 1e9
         self._first_ns: int | None = None
         self._rows_held = 0
-        self._seen = 0
+        self._rows = 0
         self._state = np.zeros(columns)
         self._last = np.zeros(columns)
 
@@ -287,8 +287,8 @@ class Smoother:
         begin = self.begin = self._begin(time)
         smoothed = np.empty_like(filled)
         if begin:
-            counts = self._seen + np.arange(1, begin + 1)[:, None]
-            smoothed[:begin] = (self._state * self._seen + np.cumsum(filled[:begin], axis=0)) / counts
+            counts = self._rows + np.arange(1, begin + 1)[:, None]
+            smoothed[:begin] = (self._state * self._rows + np.cumsum(filled[:begin], axis=0)) / counts
             self._state = smoothed[begin - 1]
         if begin < len(filled):
             gain = 1 / self._rows_held
@@ -296,7 +296,7 @@ class Smoother:
             drive[0] += (1 - gain) * self._state
             smoothed[begin:] = first_order(drive, 1 - gain)
             self._state = smoothed[-1]
-        self._seen += len(filled)
+        self._rows += len(filled)
         return smoothed
 
     def _begin(self, time: npt.NDArray[np.int64]) -> int:
@@ -305,7 +305,7 @@ class Smoother:
             return 0
         self._first_ns = int(time[0]) if self._first_ns is None else self._first_ns
         begin = int(np.searchsorted(time, self._first_ns + self._span_ns))
-        self._rows_held = self._seen + begin if begin < len(time) else 0
+        self._rows_held = self._rows + begin if begin < len(time) else 0
         return begin
 
     def _hold(self, rows: Floats) -> Floats:
