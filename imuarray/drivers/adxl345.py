@@ -17,11 +17,10 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated, words16
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, freshness, saturated, words16
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
 from imuarray.facts.registers import Register
-from imuarray.log.format import OVERRUN, STALE
 
 _RANGE_CODES = {2.0: 0b00, 4.0: 0b01, 8.0: 0b10, 16.0: 0b11}  # ADX-26
 _BYPASS, _STREAM = 0b00, 0b10  # ADX-28
@@ -88,10 +87,8 @@ class Adxl345(ChipDriver):
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts at 256 per g; stale if DATA_READY was clear, overrun if a set was replaced unread (ADX-52)."""
-        decoded, source = self._triads(bursts[:, 2:8]), bursts[:, 0]
-        stale = flagged(~source, facts.DATA_READY.mask, STALE)
-        overrun = flagged(source, facts.OVERRUN.mask, OVERRUN)
-        return decoded._replace(status=decoded.status | stale | overrun)
+        decoded, fresh = self._triads(bursts[:, 2:8]), freshness(bursts[:, 0], facts.DATA_READY, facts.OVERRUN)
+        return decoded._replace(status=decoded.status | fresh)
 
     def _triads(self, data: Bytes) -> DecodedBursts:
         counts = words16(data)

@@ -17,8 +17,8 @@ from imuarray.bus.protocol import Bus
 from imuarray.bus.spi import SpiChip
 from imuarray.clock import Clock, sleep_for
 from imuarray.errors import NOT_ACKNOWLEDGED, SensorError
-from imuarray.facts.registers import Register, Setting
-from imuarray.log.format import SATURATED
+from imuarray.facts.registers import Field, Register, Setting
+from imuarray.log.format import OVERRUN, SATURATED, STALE
 
 
 class Registers:
@@ -34,6 +34,12 @@ class Registers:
     def peek(self, register: Register, count: int = 1) -> bytes:
         """Read `count` bytes from `register` on, in one transaction."""
         return self.bus.transfer(self.address, register.pointer, count)
+
+    def peek_counting(self, register: Register, count: int) -> bytes:
+        """Read `count` bytes from `register` on of an ST chip, whose address counts up if bit 7 is set (L3G-03,
+        LIS-03).
+        """
+        return self.bus.transfer(self.address, bytes([register.address | 0x80]), count)
 
     def read_back(self, register: Register) -> int:
         """Read a register without affecting the measurement."""
@@ -345,6 +351,13 @@ def words16(data: Bytes, order: str = "<i2") -> npt.NDArray[np.int16]:
 def flagged(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:
     """Return `flag` for each of (n,) status bytes in which `mask` is set."""
     return np.where(bits & mask, flag, 0).astype(np.uint16)
+
+
+def freshness(states: Bytes, available: Field, overrun: Field) -> npt.NDArray[np.uint16]:
+    """Return the flags of readings by (n,) status bytes: stale where no new reading was `available`, and `overrun`
+    where a reading was replaced before it was read.
+    """
+    return flagged(~states, available.mask, STALE) | flagged(states, overrun.mask, OVERRUN)
 
 
 def saturated(counts: npt.NDArray[np.int16] | npt.NDArray[np.int32], low: int, high: int) -> npt.NDArray[np.uint16]:

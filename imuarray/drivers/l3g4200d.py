@@ -17,14 +17,11 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated, words16
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, freshness, saturated, words16
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
-from imuarray.facts.registers import Register, Setting
-from imuarray.log.format import OVERRUN, STALE
+from imuarray.facts.registers import Setting
 
-_COUNT_ON = 0x80  # sub-address bit 7: L3G-03
-_FROM_TEMPERATURE = bytes([facts.OUT_TEMP.address | _COUNT_ON])
 _RATE_CODES = {100.0: 0b00, 200.0: 0b01, 400.0: 0b10, 800.0: 0b11}  # L3G-30 ... L3G-33
 _RANGE_CODES = {250.0: 0b00, 500.0: 0b01, 2000.0: 0b10}  # L3G-40 ... L3G-42
 _BYPASS, _STREAM = 0b000, 0b010  # L3G-20
@@ -96,28 +93,20 @@ class L3g4200d(ChipDriver):
 
     def _readings_dps(self) -> Floats:
         """Return angular rates (n, 3) in dps, once the filter has settled."""
-        read = partial(self._read, facts.OUT_X_L, 6)
+        read = partial(self.registers.peek_counting, facts.OUT_X_L, 6)
         return self.triads(read, 0.1, 1 / self.rate_hz, count=_SELF_TEST_SAMPLES) / self.sensitivity
-
-    def _read(self, register: Register, count: int) -> bytes:
-        """Read `count` registers from `register` on."""
-        return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
 
     def fetch(self) -> bytes:
         """Read 0x26 ... 0x2D with auto-increment: temperature, status, x, y, z."""
-        return self.registers.bus.transfer(self.registers.address, _FROM_TEMPERATURE, self.burst)
+        return self.registers.peek_counting(facts.OUT_TEMP, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, low byte first; the temperature decreases by one count per degC (L3G-60).
 
         Stale where ZYXDA was clear, overrun where ZYXOR was set: new data replaced unread data (L3G-52).
         """
-        triads, source = _triads(bursts[:, 2:8]), bursts[:, 1]
-        stale = flagged(~source, facts.ZYX_AVAILABLE.mask, STALE)
-        overrun = flagged(source, facts.ZYX_OVERRUN.mask, OVERRUN)
-        return DecodedBursts(
-            triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | stale | overrun
-        )
+        triads, fresh = _triads(bursts[:, 2:8]), freshness(bursts[:, 1], facts.ZYX_AVAILABLE, facts.ZYX_OVERRUN)
+        return DecodedBursts(triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | fresh)
 
 
 class L3g4200dFifo(L3g4200d):
@@ -148,7 +137,7 @@ class L3g4200dFifo(L3g4200d):
         until_ns = self.clock.now_ns()
         overrun = facts.FIFO_OVERRUN.of(source)
         level = facts.FIFO_LEVEL.of(source) + overrun  # five bits can't express 32: L3G-58
-        sets = self._read(facts.OUT_X_L, self.burst * level) if level else b""
+        sets = self.registers.peek_counting(facts.OUT_X_L, self.burst * level) if level else b""
         self.queue.times(level, at_ns, bool(overrun), until_ns=until_ns)
         return sets
 

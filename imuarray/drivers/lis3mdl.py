@@ -16,12 +16,9 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, flagged, saturated, words16
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, freshness, saturated, words16
 from imuarray.facts import lis3mdl as facts
-from imuarray.facts.registers import Register
-from imuarray.log.format import OVERRUN, STALE
 
-_COUNT_ON = 0x80  # LIS-03
 _CONTINUOUS = 0b00  # LIS-12
 _ULTRA_HIGH = 0b11  # LIS-11
 _FASTEST_HZ = 155.0  # of ultra-high performance, with the fast bit: LIS-11
@@ -99,22 +96,18 @@ class Lis3mdl(ChipDriver):
 
     def _readings_gauss(self) -> Floats:
         """Return fields (n, 3) in gauss."""
-        read = partial(self._read, facts.OUT_X_L, 6)
+        read = partial(self.registers.peek_counting, facts.OUT_X_L, 6)
         counts = self.triads(read, _SELF_TEST_SETTLE_S, 1.1 / 80, count=_SELF_TEST_SAMPLES)
         return counts / self.sensitivity[_SELF_TEST_RANGE]
 
-    def _read(self, register: Register, count: int) -> bytes:
-        return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
-
     def fetch(self) -> bytes:
         """Read 0x2E and 0x2F, then 0x27 ... 0x2D, with auto-increment: temperature; status, x, y, z."""
-        return self._read(facts.TEMP_OUT_L, 2) + self._read(facts.STATUS_REG, 7)
+        return self.registers.peek_counting(facts.TEMP_OUT_L, 2) + self.registers.peek_counting(facts.STATUS_REG, 7)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, low byte first (LIS-14), as the temperature. Stale where ZYXDA was clear, overrun
         where ZYXOR was set (LIS-12).
         """
         counts, temperature = words16(bursts[:, self.reading]), words16(bursts[:, 0:2])[:, 0]
-        status = saturated(counts, -32768, 32767)
-        status |= flagged(~bursts[:, 2], facts.ZYX_AVAILABLE.mask, STALE)
-        return DecodedBursts(counts, temperature, status | flagged(bursts[:, 2], facts.ZYX_OVERRUN.mask, OVERRUN))
+        fresh = freshness(bursts[:, 2], facts.ZYX_AVAILABLE, facts.ZYX_OVERRUN)
+        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767) | fresh)
