@@ -16,7 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.chips import ChipSpec
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, flagged, saturated, words16
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, flag_bits, flag_saturated, words16
 from imuarray.facts.registers import Register
 from imuarray.log.format import OVERRUN, STALE
 
@@ -75,8 +75,8 @@ class Lis3dh(ChipDriver):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 12 bits; stale without ZYXDA (bit 3), overrun with ZYXOR (bit 7)."""
         counts = words16(bursts[:, self.reading]) >> 4
-        fresh = flagged(~bursts[:, 0], 0x08, STALE) | flagged(bursts[:, 0], 0x80, OVERRUN)
-        return DecodedBursts(counts, None, fresh | saturated(counts, -2048, 2047))
+        fresh = flag_bits(~bursts[:, 0], 0x08, STALE) | flag_bits(bursts[:, 0], 0x80, OVERRUN)
+        return DecodedBursts(counts, None, fresh | flag_saturated(counts, -2048, 2047))
 
 
 # 4. One line each: "lis3dh": SPEC in imuarray.chips.CHIPS, by which `detect` recognises the chip, and "lis3dh": Lis3dh

@@ -212,7 +212,7 @@ class PollList:
         return 1 + sum(2 + request.read for request in self.requests)
 
 
-def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> bytes:
+def frame_payload(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> bytes:
     """Return the bytes of one frame; ValueError for a payload that is too long."""
     if len(payload) > MAX_PAYLOAD:
         raise ValueError(f"{len(payload)} bytes in a frame of the serial link; at most {MAX_PAYLOAD}")

@@ -358,7 +358,7 @@ class Session:
 
     def _ask(self, kind: int, payload: bytes) -> _Answer:
         self._sequence = (self._sequence + 1) % link.SEQUENCES
-        command = link.framed(kind, self._sequence, payload)
+        command = link.frame_payload(kind, self._sequence, payload)
         self.refused[UNASKED] += len(self._answers)
         self._answers.clear()
         asked_ns = self.clock.now_ns()

@@ -115,7 +115,7 @@ def _pair(
         raise ValueError("both sensors need slopes")
     slopes = np.array([known.thermal.slope_lsb_per_degc[i], other.thermal.slope_lsb_per_degc[j]])
     sems = np.array([known.thermal.slope_sem_lsb_per_degc[i], other.thermal.slope_sem_lsb_per_degc[j]])
-    half, sem, reduction, cancels, nothing_left = cancelled(slopes[0], slopes[1], sems[0], sems[1])
+    half, sem, reduction, cancels, nothing_left = compare_opposed(slopes[0], slopes[1], sems[0], sems[1])
     return OpposedSlopes(
         f"{first.name} {'xyz'[i]}",
         f"{second.name} {'xyz'[j]}",
@@ -132,7 +132,7 @@ def _pair(
     )
 
 
-def cancelled(
+def compare_opposed(
     first: float, second: float, sem_first: float, sem_second: float
 ) -> tuple[float, float, float, float, float]:
     """Return the half difference of two slopes, its standard error, the reduction, `p_cancels` and `p_nothing_left`

@@ -17,7 +17,16 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, freshness, saturated, words16
+from imuarray.drivers.driver import (
+    Bytes,
+    ChipDriver,
+    DecodedBursts,
+    SelfTest,
+    compare_readings,
+    flag_freshness,
+    flag_saturated,
+    words16,
+)
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
 from imuarray.facts.registers import Register
@@ -78,7 +87,7 @@ class Adxl345(ChipDriver):
         self.configure()
         limits = ", ".join(f"{low:+.2f} to {high:+.2f}" for low, high in _SELF_TEST_G)
         text = f"deflects {{change}} g; limits {limits} g"
-        return compared(before, during, _SELF_TEST_G, text, still=_SELF_TEST_STILL_G)
+        return compare_readings(before, during, _SELF_TEST_G, text, still=_SELF_TEST_STILL_G)
 
     def _readings_g(self) -> Floats:
         """Return specific forces (n, 3) in g, after the four samples that the filter needs (ADX-58)."""
@@ -87,14 +96,14 @@ class Adxl345(ChipDriver):
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts at 256 per g; stale if DATA_READY was clear, overrun if a set was replaced unread (ADX-52)."""
-        decoded, fresh = self._triads(bursts[:, 2:8]), freshness(bursts[:, 0], facts.DATA_READY, facts.OVERRUN)
+        decoded, fresh = self._triads(bursts[:, 2:8]), flag_freshness(bursts[:, 0], facts.DATA_READY, facts.OVERRUN)
         return decoded._replace(status=decoded.status | fresh)
 
     def _triads(self, data: Bytes) -> DecodedBursts:
         counts = words16(data)
         half_span = int(self.range_g * _LSB_PER_G)
         highest = half_span - (2 if self.rate_hz > 800 else 1)  # only even codes at 1600 and 3200 Hz: ADX-47
-        return DecodedBursts(counts, None, saturated(counts, -half_span, highest))
+        return DecodedBursts(counts, None, flag_saturated(counts, -half_span, highest))
 
 
 class Adxl345Fifo(Adxl345):

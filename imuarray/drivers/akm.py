@@ -27,7 +27,7 @@ from imuarray.drivers.driver import (
     Registers,
     SelfTest,
     carry_out,
-    flagged,
+    flag_bits,
     within,
     words16,
 )
@@ -143,9 +143,9 @@ class Ak8963(ChipDriver):
         """Return words of 16 bits, low byte first; stale where ST1 showed no new data, overrun where it showed skipped
         data, saturated where ST2 showed an overflow of the sensor (AKM-11, AKM-12, AKM-22, AKM-23).
         """
-        status = flagged(~bursts[:, 0], self.table.DATA_READY.mask, STALE)
-        status |= flagged(bursts[:, 0], self.overrun_bit, OVERRUN)
-        status |= flagged(bursts[:, 7], self.table.OVERFLOW.mask, SATURATED)
+        status = flag_bits(~bursts[:, 0], self.table.DATA_READY.mask, STALE)
+        status |= flag_bits(bursts[:, 0], self.overrun_bit, OVERRUN)
+        status |= flag_bits(bursts[:, 7], self.table.OVERFLOW.mask, SATURATED)
         return DecodedBursts(words16(bursts[:, self.reading]), None, status)
 
     def header(self) -> Mapping[str, int]:

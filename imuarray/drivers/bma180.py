@@ -16,7 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, carry_out, saturated
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, carry_out, flag_saturated
 from imuarray.facts import bma180 as facts
 from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import STALE
@@ -126,5 +126,5 @@ class Bma180(ChipDriver):
         words = np.ascontiguousarray(bursts[:, 0:6]).view("<i2")
         counts = (words >> 2).astype(np.int16)
         fresh = (words & facts.NEW_DATA_X.mask).any(axis=1)
-        status = saturated(counts, -8192, 8191) | np.where(fresh, 0, STALE).astype(np.uint16)
+        status = flag_saturated(counts, -8192, 8191) | np.where(fresh, 0, STALE).astype(np.uint16)
         return DecodedBursts(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)

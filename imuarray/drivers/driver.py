@@ -141,7 +141,7 @@ class SelfTest(NamedTuple):
     text: str
 
 
-def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still: float) -> SelfTest:
+def compare_readings(before: Floats, during: Floats, limits: Limits, text: str, *, still: float) -> SelfTest:
     """Compare (n, 3) readings before a self-test with (m, 3) during it: the test passes if the difference of their
     means is within `limits`.
 
@@ -348,19 +348,21 @@ def words16(data: Bytes, order: str = "<i2") -> npt.NDArray[np.int16]:
     return np.ascontiguousarray(data).view(order).astype(np.int16)
 
 
-def flagged(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:
+def flag_bits(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:
     """Return `flag` for each of (n,) status bytes in which `mask` is set."""
     return np.where(bits & mask, flag, 0).astype(np.uint16)
 
 
-def freshness(states: Bytes, available: Field, overrun: Field) -> npt.NDArray[np.uint16]:
+def flag_freshness(states: Bytes, available: Field, overrun: Field) -> npt.NDArray[np.uint16]:
     """Return the flags of readings by (n,) status bytes: stale where no new reading was `available`, and `overrun`
     where a reading was replaced before it was read.
     """
-    return flagged(~states, available.mask, STALE) | flagged(states, overrun.mask, OVERRUN)
+    return flag_bits(~states, available.mask, STALE) | flag_bits(states, overrun.mask, OVERRUN)
 
 
-def saturated(counts: npt.NDArray[np.int16] | npt.NDArray[np.int32], low: int, high: int) -> npt.NDArray[np.uint16]:
+def flag_saturated(
+    counts: npt.NDArray[np.int16] | npt.NDArray[np.int32], low: int, high: int
+) -> npt.NDArray[np.uint16]:
     """Flag SATURATED for each row of (n, 3) counts with an axis at or beyond an end of the code span."""
     at_end = ((counts <= low) | (counts >= high)).any(axis=1)
     return np.where(at_end, SATURATED, 0).astype(np.uint16)

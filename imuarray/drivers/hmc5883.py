@@ -15,7 +15,16 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, saturated, within, words16
+from imuarray.drivers.driver import (
+    Bytes,
+    ChipDriver,
+    DecodedBursts,
+    SelfTest,
+    compare_readings,
+    flag_saturated,
+    within,
+    words16,
+)
 from imuarray.facts import hmc5883 as facts
 from imuarray.facts.registers import Register
 
@@ -81,7 +90,7 @@ class Hmc5883(ChipDriver):
         (limits, _), (other, name) = both if self.is_l else both[::-1]
         wanted = ", ".join(f"{low:+.0f} to {high:+.0f}" for low, high in limits)
         text = f"answers {{change}} counts; limits {wanted}"
-        verdict = compared(np.zeros((1, 3)), answers, limits, text, still=_SELF_TEST_STILL)
+        verdict = compare_readings(np.zeros((1, 3)), answers, limits, text, still=_SELF_TEST_STILL)
         if verdict.passed is False and within(answers.mean(axis=0), other):
             return SelfTest(False, f"{verdict.text}; fits an {name}: is it one?")
         return verdict
@@ -89,4 +98,4 @@ class Hmc5883(ChipDriver):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts in the order x, y, z; saturated where the converter overflowed."""
         counts = words16(bursts, ">i2")[:, _XZY]
-        return DecodedBursts(counts, None, saturated(counts, -2048, 2047))
+        return DecodedBursts(counts, None, flag_saturated(counts, -2048, 2047))

@@ -17,7 +17,16 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, freshness, saturated, words16
+from imuarray.drivers.driver import (
+    Bytes,
+    ChipDriver,
+    DecodedBursts,
+    SelfTest,
+    compare_readings,
+    flag_freshness,
+    flag_saturated,
+    words16,
+)
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Setting
@@ -89,7 +98,7 @@ class L3g4200d(ChipDriver):
         self.configure()
         typical = _SELF_TEST_DPS[self.range_dps]
         text = f"changes by {{change}} dps; {typical:+.0f} is typical"
-        return compared(before, during, ((typical / 3, typical * 3),) * 3, text, still=typical / 12)
+        return compare_readings(before, during, ((typical / 3, typical * 3),) * 3, text, still=typical / 12)
 
     def _readings_dps(self) -> Floats:
         """Return angular rates (n, 3) in dps, once the filter has settled."""
@@ -105,7 +114,7 @@ class L3g4200d(ChipDriver):
 
         Stale where ZYXDA was clear, overrun where ZYXOR was set: new data replaced unread data (L3G-52).
         """
-        triads, fresh = _triads(bursts[:, 2:8]), freshness(bursts[:, 1], facts.ZYX_AVAILABLE, facts.ZYX_OVERRUN)
+        triads, fresh = _triads(bursts[:, 2:8]), flag_freshness(bursts[:, 1], facts.ZYX_AVAILABLE, facts.ZYX_OVERRUN)
         return DecodedBursts(triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | fresh)
 
 
@@ -148,4 +157,4 @@ class L3g4200dFifo(L3g4200d):
 
 def _triads(data: Bytes) -> DecodedBursts:
     counts = words16(data)
-    return DecodedBursts(counts, None, saturated(counts, -32768, 32767))
+    return DecodedBursts(counts, None, flag_saturated(counts, -32768, 32767))

@@ -16,7 +16,16 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, compared, freshness, saturated, words16
+from imuarray.drivers.driver import (
+    Bytes,
+    ChipDriver,
+    DecodedBursts,
+    SelfTest,
+    compare_readings,
+    flag_freshness,
+    flag_saturated,
+    words16,
+)
 from imuarray.facts import lis3mdl as facts
 
 _CONTINUOUS = 0b00  # LIS-12
@@ -92,7 +101,7 @@ class Lis3mdl(ChipDriver):
         self.configure()
         wanted = ", ".join(f"{low:g} to {high:g}" for low, high in _SELF_TEST_GAUSS)
         text = f"changes by {{change}} gauss; limits {wanted}"
-        return compared(before, during, _SELF_TEST_GAUSS, text, still=_SELF_TEST_STILL)
+        return compare_readings(before, during, _SELF_TEST_GAUSS, text, still=_SELF_TEST_STILL)
 
     def _readings_gauss(self) -> Floats:
         """Return fields (n, 3) in gauss."""
@@ -109,5 +118,5 @@ class Lis3mdl(ChipDriver):
         where ZYXOR was set (LIS-12).
         """
         counts, temperature = words16(bursts[:, self.reading]), words16(bursts[:, 0:2])[:, 0]
-        fresh = freshness(bursts[:, 2], facts.ZYX_AVAILABLE, facts.ZYX_OVERRUN)
-        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767) | fresh)
+        fresh = flag_freshness(bursts[:, 2], facts.ZYX_AVAILABLE, facts.ZYX_OVERRUN)
+        return DecodedBursts(counts, temperature, flag_saturated(counts, -32768, 32767) | fresh)

@@ -17,7 +17,7 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, DecodedBursts, saturated, words16
+from imuarray.drivers.driver import Bytes, DecodedBursts, flag_saturated, words16
 from imuarray.drivers.six_axis import HalfTest, QueuedHalf, SixAxisHalf
 from imuarray.drivers.six_axis_queue import DieQueue, Lsm6dsoQueue
 from imuarray.facts import lsm6dso as facts
@@ -135,7 +135,7 @@ class Lsm6dsoFifo(QueuedHalf, Lsm6dso):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, low byte first; with pulses, bit 0 of the gyroscope's z is the mark (LSM-49)."""
         counts, temperature = words16(bursts[:, 1:7]), words16(bursts[:, 7:9])[:, 0]
-        decoded = DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
+        decoded = DecodedBursts(counts, temperature, flag_saturated(counts, -32768, 32767))
         if not self.marks_pulses:
             return decoded
         marks = (counts[:, 2] & 1) == 1

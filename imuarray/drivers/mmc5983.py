@@ -18,7 +18,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, saturated
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, flag_saturated
 from imuarray.errors import SensorError
 from imuarray.facts import mmc5983 as facts
 from imuarray.facts.registers import Register, Setting
@@ -108,7 +108,7 @@ class Mmc5983(ChipDriver):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 18 bits, 0 at no field; saturated where a code is the first or the last (MMC-11)."""
         counts = _counts(bursts)
-        return DecodedBursts(counts, None, saturated(counts, -_ZERO, _HIGHEST - _ZERO))
+        return DecodedBursts(counts, None, flag_saturated(counts, -_ZERO, _HIGHEST - _ZERO))
 
     def header(self) -> Mapping[str, float]:
         """Return the counts of the bridges without a field, which are subtracted from readings."""

@@ -21,7 +21,16 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, Limits, SelfTest, compared, saturated, words16
+from imuarray.drivers.driver import (
+    Bytes,
+    ChipDriver,
+    DecodedBursts,
+    Limits,
+    SelfTest,
+    compare_readings,
+    flag_saturated,
+    words16,
+)
 from imuarray.drivers.six_axis_queue import DieQueue
 from imuarray.facts.registers import Setting
 from imuarray.log.format import SYNC_PULSE
@@ -116,7 +125,7 @@ class SixAxisHalf(ChipDriver):
         is_downward = (during.mean(axis=0) < before.mean(axis=0)) & (not test.is_signed)
         sign = np.where(is_downward, -1.0, 1.0)
         text = f"changes by {{change}} {test.allowed}"
-        return compared(before * sign, during * sign, test.limits, text, still=test.still)
+        return compare_readings(before * sign, during * sign, test.limits, text, still=test.still)
 
     def _readings(self) -> Floats:
         """Return counts (n, 3) of this half, for a self-test."""
@@ -129,7 +138,7 @@ class SixAxisHalf(ChipDriver):
         """Return counts of 16 bits."""
         counts = words16(bursts[:, self.places[self.half]], self.order)
         temperature = words16(bursts[:, self.temperature], self.order)[:, 0]
-        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
+        return DecodedBursts(counts, temperature, flag_saturated(counts, -32768, 32767))
 
 
 class QueuedHalf(SixAxisHalf):

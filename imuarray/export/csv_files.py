@@ -33,7 +33,7 @@ from imuarray.export.formats import (
     Progress,
     csv_names,
 )
-from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, numbered
+from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, number_names
 from imuarray.printable import encodable
 
 
@@ -89,7 +89,7 @@ def file_names(path: Path, content: Content) -> list[str]:
     """
     sensors_by_name: dict[str, str] = {}
     for name in (*(table.short for table in content.tables), "phases", "events"):
-        free = next(stem for stem in numbered(f"{path.stem}_{name}") if stem.lower() not in sensors_by_name)
+        free = next(stem for stem in number_names(f"{path.stem}_{name}") if stem.lower() not in sensors_by_name)
         sensors_by_name[free.lower()] = f"{free}{path.suffix}"
     return list(sensors_by_name.values())
 

@@ -19,7 +19,7 @@ from imuarray.atomic import whole_file
 from imuarray.errors import ExportError
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
-from imuarray.export.tables import Content, ExportTable, Meter, numbered
+from imuarray.export.tables import Content, ExportTable, Meter, number_names
 
 MOST_BYTES = (1 << 31) - 1
 """Largest size of an array in bytes: its length is stored in 32 bits (MATLAB MAT-File Format, R2019b, chapter 1)."""
@@ -100,5 +100,5 @@ def _names(tables: tuple[ExportTable, ...]) -> list[str]:
     for table in tables:
         wish = re.sub(r"\W", "_", table.short, flags=re.ASCII)
         wish = (wish if wish[:1].isalpha() else f"x{wish}")[: _LONGEST_NAME - 5]
-        names.append(next(name for name in numbered(wish) if name not in (_HEAD, *names)))
+        names.append(next(name for name in number_names(wish) if name not in (_HEAD, *names)))
     return names

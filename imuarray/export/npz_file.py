@@ -21,7 +21,7 @@ from numpy.lib import format as npy
 from imuarray.atomic import whole_file
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import NPZ_HEADER, ExportRequest, ExportSummary, Progress
-from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, numbered
+from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, number_names
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -47,7 +47,7 @@ def array_names(tables: Iterable[ExportTable]) -> dict[str, dict[str, str]]:
     names: dict[str, dict[str, str]] = {}
     for table in tables:
         for column in table.columns:
-            free = next(name for name in numbered(f"{table.short}_{column.name}") if name not in used)
+            free = next(name for name in number_names(f"{table.short}_{column.name}") if name not in used)
             used.add(free)
             names.setdefault(table.name, {})[column.name] = free
     return names

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats, Times
 from imuarray.errors import ExportError
 from imuarray.export.mcap_schemas import ENTRIES_OF_COVARIANCE
-from imuarray.export.tables import ExportTable, Meter, TableColumn, numbered
+from imuarray.export.tables import ExportTable, Meter, TableColumn, number_names
 
 LOG = "rcl_interfaces/msg/Log"
 LEVELS = {"INFO": 20, "WARNING": 30}
@@ -127,7 +127,7 @@ def topics(tables: Sequence[ExportTable]) -> Iterator[Topic]:
             twin = next(table_of_twin for table_of_twin in tables if table_of_twin.name == twins[table.name])
             columns = {column.name: column for column in twin.columns[1:]} | columns
             name = table.name.removesuffix("_acc")
-        free = next(wish for wish in numbered(_topic_name(name)) if wish not in names)
+        free = next(wish for wish in number_names(_topic_name(name)) if wish not in names)
         names.add(free)
         yield from _topics_of(free, table, columns)
 

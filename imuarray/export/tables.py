@@ -81,7 +81,7 @@ class Content:
         return ExportSummary(files, rows, self.units, self.uncalibrated)
 
 
-def numbered(wish: str) -> Iterator[str]:
+def number_names(wish: str) -> Iterator[str]:
     """Return an endless sequence of names: the name itself, then name_2, name_3, ..., so that a name in use can be
     replaced by the next one.
     """

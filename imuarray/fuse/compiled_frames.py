@@ -91,7 +91,7 @@ def nearest_readings(
     return None if code & 1 else not code
 
 
-def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
+def find_consensus(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
     """Return the `consensus` (3, n) of valid `values` (m, n) along `rows` (m, 3), in triads; `gain` (3, m) is that of
     least squares. None without compiled code, for too many axes, and for axes that are not triads.
     """

@@ -51,12 +51,12 @@ def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None
     """
     with RowSpool(3) as white:
         for error, covariance in zip(row_blocks(errors), row_blocks(covariances), strict=True):
-            white.append(whitened(error, covariance))
+            white.append(whiten(error, covariance))
         return consistency_of(white)
 
 
 def consistency_of(white: RowSource) -> Consistency | None:
-    """Return the consistency of `whitened` errors (n, 3), read block by block; None for fewer than twenty."""
+    """Return the consistency of `whiten` errors (n, 3), read block by block; None for fewer than twenty."""
     from scipy.special import gammaincinv  # for the inverse chi-squared distribution: scipy.stats is slow to import
 
     if len(white) < _FEWEST:
@@ -67,7 +67,7 @@ def consistency_of(white: RowSource) -> Consistency | None:
     return Consistency(normalised, float(low), float(high), freedom)
 
 
-def whitened(errors: Floats, covariances: Floats) -> Floats:
+def whiten(errors: Floats, covariances: Floats) -> Floats:
     """Return errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), without rows
     that are not finite or whose covariance is not positive definite. It is written out for all frames at once, twenty
     times as fast as a matrix routine.

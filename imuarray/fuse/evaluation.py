@@ -18,7 +18,7 @@ from imuarray.arrays import Floats, Indices
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
-from imuarray.fuse.error_consistency import whitened
+from imuarray.fuse.error_consistency import whiten
 from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.fusion import AVERAGE, fuse
 from imuarray.fuse.spools import AT_ONCE, RowSource, RowSpool, parts_of, row_blocks, square_sum
@@ -367,7 +367,7 @@ class MotionSpool:
 
 
 class ErrorFrameSpool:
-    """The errors (n, 3) of one quantity, and the errors `white` (k, 3) by their covariances (`whitened`), in temporary
+    """The errors (n, 3) of one quantity, and the errors `white` (k, 3) by their covariances (`whiten`), in temporary
     files, or in files whose names begin with a path; only requested frames are read. Several spools may share a
     `motion` if they have the same frames. A context manager.
     """
@@ -387,7 +387,7 @@ class ErrorFrameSpool:
         if not shares:
             self.motion.append(frames.time, frames.truth)
         self.errors.append(frames.errors)
-        self.white.append(whitened(frames.errors, frames.covariances))
+        self.white.append(whiten(frames.errors, frames.covariances))
 
     def __len__(self) -> int:
         return len(self.errors)

@@ -257,7 +257,7 @@ def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> F
         sound = np.asarray(valid.all(axis=1))
         every = bool(sound.all())
         some = slice(None) if every else np.flatnonzero(sound)
-        compiled = compiled_frames.agreed(values[some].T, rows, gains[0], TOLERATED_SI[quantity])
+        compiled = compiled_frames.find_consensus(values[some].T, rows, gains[0], TOLERATED_SI[quantity])
         if compiled is not None and every:
             return compiled.T
         if compiled is not None:

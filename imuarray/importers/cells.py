@@ -202,7 +202,7 @@ class TextTable:
         try:
             row = next(self._reader, [])
             while self._layout.labels and row:
-                if cells := labelled(row):
+                if cells := split_labels(row):
                     return cells
                 row = next(self._reader, [])
             return row
@@ -373,7 +373,7 @@ _LABELLED = re.compile(
 )
 
 
-def labelled(cells: Sequence[str]) -> list[str]:
+def split_labels(cells: Sequence[str]) -> list[str]:
     """Return a row of labelled values ("ax: 0.02, ay: -0.98 g") as the labels, joined by commas, and the values; [] for
     a row without a label. The labels are the kind of the row, because text between the readings has other labels. A
     time stamp in brackets, "[1234] ax: 0.02", and values separated by a bar are separate values.

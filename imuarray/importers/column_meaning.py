@@ -35,7 +35,7 @@ from imuarray.importers.proposal import (
     time_index,
     time_lines,
 )
-from imuarray.importers.text_layout import TextLayout, quoted
+from imuarray.importers.text_layout import TextLayout, quote
 from imuarray.importers.triad_behaviour import (
     NamedTriad,
     has_unit_length,
@@ -209,7 +209,7 @@ def _find_incomplete(names: Sequence[str], taken: set[int]) -> Iterator[str]:
         if len(present) < len("xyz"):
             missing = listed([axis for axis in "xyz" if axis not in present])
             yield (
-                f"left out: {', '.join(map(quoted, present.values()))}: no column of axis {missing}; a sensor needs"
+                f"left out: {', '.join(map(quote, present.values()))}: no column of axis {missing}; a sensor needs"
                 " three axes"
             )
 
@@ -225,7 +225,7 @@ def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force
     """
     quantity = next((what for what, words in QUANTITIES if words.search(kind)), "specific_force")
     item = propose_sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
-    item.insert(2, f"kind = {quoted(kind)}")
+    item.insert(2, f"kind = {quote(kind)}")
     proposal.items.append(item)
     return "m/s2" if item.text("unit") == "m/s2" else force_unit
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from imuarray.importers.text_layout import TextLayout, quoted
+from imuarray.importers.text_layout import TextLayout, quote
 from imuarray.units import UNITS_OF, standard_unit
 
 _UNIT_IN_NAME = re.compile(
@@ -55,7 +55,7 @@ def column_label(names: Sequence[str], index: int) -> str:
     """Return a column as a map names it: by its name, or by its index if the name is missing or not unique."""
     if index >= len(names) or not names[index] or names.count(names[index]) > 1:
         return str(index)
-    return quoted(names[index])
+    return quote(names[index])
 
 
 def quantity_of(name: str) -> str:

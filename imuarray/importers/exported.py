@@ -71,7 +71,7 @@ def parse_header(text: str | bytes, where: str) -> dict[str, Any]:
     return head
 
 
-def checked_head(head: Mapping[str, Any], where: str) -> Head:
+def check_head(head: Mapping[str, Any], where: str) -> Head:
     """Validate the header of a log's raw counts; SourceError."""
     if head.get("format") != FORMAT or head.get("format_version") != FORMAT_VERSION:
         raise SourceError(f"{where}: not the export of a log of format {FORMAT_VERSION}; only logs can be read back")

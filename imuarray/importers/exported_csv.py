@@ -24,7 +24,7 @@ from imuarray.importers.exported import (
     COLUMN_UNITS,
     MAX_HEADER_BYTES,
     Head,
-    checked_head,
+    check_head,
     parse_header,
     read_notes,
     write_log,
@@ -49,7 +49,7 @@ def import_file(
         size = file.seek(0, 2)
         file.seek(0)
         header = _header(file, path)
-        head = checked_head(header, str(path))
+        head = check_head(header, str(path))
         files: Files = {str(header["table"]): (path, None)} if "table" in header else _read_list(file, path, head)
     reader = _Tables(files, path, output, lambda share: progress(int(size * share)))
     notes = read_notes(reader.notes("phases", CSV_PHASES, 2), reader.notes("events", CSV_EVENTS, 1), str(path))

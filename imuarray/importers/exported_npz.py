@@ -22,7 +22,7 @@ from numpy.lib import format as npy
 from imuarray.errors import SourceError
 from imuarray.export.formats import NPZ_HEADER
 from imuarray.importers import ImportSummary, open_source
-from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, parse_header, read_notes, write_log
+from imuarray.importers.exported import MAX_HEADER_BYTES, check_head, parse_header, read_notes, write_log
 from imuarray.log.inspection import MOST_DEFLATED
 from imuarray.log.journal import ColumnGroup, Columns
 from imuarray.printable import printable
@@ -51,7 +51,7 @@ def import_file(
             with zipfile.ZipFile(file) as archive:
                 arrays = _Arrays(archive, str(source), size, progress)
                 head = parse_header(arrays.header(), str(source))
-                checked = checked_head(head, str(source))
+                checked = check_head(head, str(source))
                 arrays.names = head.get("arrays")
                 notes = read_notes(head.get("phases"), head.get("events"), str(source))
                 return write_log(checked, arrays.rows, notes, output, str(source), force=force)

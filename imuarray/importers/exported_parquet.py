@@ -18,7 +18,7 @@ from imuarray.importers import ImportSummary, open_source
 from imuarray.importers.exported import (
     COLUMN_UNITS,
     MAX_HEADER_BYTES,
-    checked_head,
+    check_head,
     parse_header,
     read_notes,
     write_log,
@@ -56,7 +56,7 @@ def import_file(
     path = Path(source)
     open_source(path, output).close()
     header = _header(path)
-    head = checked_head(header, str(path))
+    head = check_head(header, str(path))
     if "table" in header:
         files = {str(header["table"]): path}
     else:

@@ -27,7 +27,7 @@ from imuarray.importers.resolution import (
     named_step,
     usual_bits,
 )
-from imuarray.importers.text_layout import TextLayout, quoted
+from imuarray.importers.text_layout import TextLayout, quote
 from imuarray.importers.triad_behaviour import NEAR_GRAVITY, TriadIndices, fit_sphere
 from imuarray.printable import printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
@@ -268,7 +268,7 @@ def time_lines(
     lines = [f"column = {column_label(names, index)}"]
     if index in dates:
         month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
-        return [*lines, f"unit = {quoted(dates[index])}{month}"]
+        return [*lines, f"unit = {quote(dates[index])}{month}"]
     values = columns[index]
     steps = np.diff(values)
     if name.lower() == "sampletimefine":
@@ -635,12 +635,12 @@ def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
         unit = "K"
     if unit or (finite.min() > -60 and finite.max() < 150 and (finite != np.rint(finite)).any()):
         unit_line = f'unit = "{unit}"' if unit else 'unit = "degC"   # ? from the size of the values'
-        proposal.add("thermometer", "Thermometer", f"column = {quoted(name)}", unit_line)
+        proposal.add("thermometer", "Thermometer", f"column = {quote(name)}", unit_line)
         return
     span = f"{finite.min():g} to {finite.max():g}"
     proposal.doubts.append(
         f"column {name!r} may be a chip's thermometer ({span} counts): set temperature_column ="
-        f" {quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
+        f" {quote(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
     )
 
 
@@ -656,4 +656,4 @@ def propose_barometer(proposal: Proposal, name: str, values: Floats) -> None:
         )
         return
     mark = "" if name in proposal.units else f"   # ? from the size of the values: {middle:.6g}"
-    proposal.add("barometer", "Barometer", f"column = {quoted(name)}", f'unit = "{unit}"{mark}')
+    proposal.add("barometer", "Barometer", f"column = {quote(name)}", f'unit = "{unit}"{mark}')

@@ -38,7 +38,7 @@ from imuarray.importers.text_layout import (
     columns_of,
     dates_of,
     names_by_kind,
-    quoted,
+    quote,
     read_text,
 )
 from imuarray.importers.triad_behaviour import is_gravity
@@ -171,7 +171,7 @@ def _add_kind(proposal: Proposal, kind: str, partial: Proposal) -> None:
     """Add the proposal for the rows of a kind ("" for a single kind)."""
     for item in partial.items:
         if kind:
-            item.insert(2, f"kind = {quoted(kind)}")
+            item.insert(2, f"kind = {quote(kind)}")
         names = {other.name for other in proposal.items}
         numbered = (f"{item.name.rstrip('0123456789')}{number}" for number in range(2, len(names) + 3))
         item.call(next(name for name in (item.name, *numbered) if name not in names))

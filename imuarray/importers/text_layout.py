@@ -24,10 +24,10 @@ from imuarray.importers.cells import (
     is_rule,
     is_unit_row,
     is_utf16,
-    labelled,
     number_of,
     plain_line,
     plain_sentence,
+    split_labels,
 )
 from imuarray.importers.mapping import ISO
 from imuarray.importers.plausibility import RATES_HZ
@@ -64,12 +64,12 @@ class TextLayout:
 
     def lines(self) -> list[str]:
         """Return the lines of `[file]`."""
-        groups = (f"[{', '.join(map(quoted, group))}]" for group in self.parts)
+        groups = (f"[{', '.join(map(quote, group))}]" for group in self.parts)
         entries = (
-            (self.delimiter != ",", f"delimiter = {quoted(self.delimiter)}"),
+            (self.delimiter != ",", f"delimiter = {quote(self.delimiter)}"),
             (self.decimal != ".", 'decimal = ","'),
             (self.skip_rows > 0, f"skip_rows = {self.skip_rows}"),
-            (self.comment != "#", f"comment = {quoted(self.comment)}"),
+            (self.comment != "#", f"comment = {quote(self.comment)}"),
             (self.kind_column is not None, f"kind_column = {self.kind_column}"),
             (self.labels, "labels = true"),
             (bool(self.parts), f"parts = [{', '.join(groups)}]"),
@@ -97,7 +97,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     mark = max(_DELIMITERS, key=lambda mark: _labelled_share(tail, mark))
     if _labelled_share(tail, mark) > _MOSTLY:
         layout.delimiter, layout.labels, layout.kind_column, layout.named = mark, True, 0, False
-        cells = [labelled(split_cells(plain_line(line, mark), mark)) for _, line in lines]
+        cells = [split_labels(split_cells(plain_line(line, mark), mark)) for _, line in lines]
         return layout, [], [row for row in cells if row]
     layout.delimiter = mark = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
     rows = _pad([(number, split_cells(plain_line(line, mark), mark)) for number, line in lines])
@@ -241,7 +241,7 @@ _MOSTLY = 0.9
 
 def _labelled_share(lines: Sequence[str], delimiter: str) -> float:
     """Return the share of lines with only labelled values, plus a small amount for the number of cells."""
-    rows = [labelled(split_cells(line, delimiter)) for line in lines]
+    rows = [split_labels(split_cells(line, delimiter)) for line in lines]
     rows = [row if row and 2 * row[0].split(",").count("") < len(row) else [] for row in rows]
     return sum(bool(row) for row in rows) / len(rows) + 1e-4 * min(sum(map(len, rows)) / len(rows), 100)
 
@@ -342,7 +342,7 @@ def _is_clock(cells: Sequence[str]) -> bool:
     return len(full) > 0 and bool((np.diff(values)[full] % 100 > 40).all())
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """Return a text as a string of TOML."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t") + '"'
 

@@ -139,7 +139,7 @@ def open_interrupted(
             opened.pop_all()  # the view closes them
             return view
         if journal is not None:
-            return rebuilt(journal)
+            return rebuild(journal)
     if journal_fd is None and _version(path) != version:
         return open_interrupted(path, thorough=thorough)
     raise LogError(f"{path}: was not finished, and is damaged; its journal {failure}")
@@ -281,7 +281,7 @@ def _newest_ns(groups: tuple[ColumnGroup, ...], committed: CommittedRows) -> Map
     return newest
 
 
-def rebuilt(journal: JournalReader) -> RebuiltFile:
+def rebuild(journal: JournalReader) -> RebuiltFile:
     """Rebuild the log that a journal holds, in a temporary file that is deleted when it is closed; LogError."""
     with tempfile.TemporaryDirectory(prefix="imuarray-") as folder:
         draft = Draft(Path(folder) / "rebuilt.h5", journal.preamble)

@@ -63,7 +63,7 @@ from imuarray.report.page import (
     Table,
     Verdict,
     can_draw,
-    marked,
+    highlight,
     markup,
     write_page,
 )
@@ -220,7 +220,7 @@ def _pair(before: float, after: float, limit: float) -> str:
     if texts == [NOTHING, NOTHING]:
         return NOTHING
     joined = texts[0] if before == after else " → ".join(texts)
-    return marked(joined) if after > limit else joined
+    return highlight(joined) if after > limit else joined
 
 
 def _maps(shown: Map) -> Iterator[Figure]:
@@ -339,7 +339,7 @@ def _pull(pull: Pull) -> str:
     if not np.isfinite(pull.pull):
         return number(pull.pull)
     text = f"{'-' if pull.pull < 0 else '+'}{number(abs(pull.pull))}"
-    return marked(text) if pull.is_out_of_specification and not pull.explained_by else text
+    return highlight(text) if pull.is_out_of_specification and not pull.explained_by else text
 
 
 def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
@@ -394,7 +394,7 @@ def _interval(figure: IntervalEstimate) -> str:
 
 def _against(simulated: IntervalEstimate, real: IntervalEstimate) -> str:
     text = _interval(simulated)
-    return marked(text) if simulated.low > real.high or simulated.high < real.low else text
+    return highlight(text) if simulated.low > real.high or simulated.high < real.low else text
 
 
 def _use_figures(uses: Sequence[Use]) -> Iterator[Figure]:
@@ -500,7 +500,7 @@ def _judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
     )
     rows = []
     for candidate in ranked[:MOST_ROWS]:
-        effect, sensors = candidate.effect or marked(PLACEBO), ", ".join(candidate.sensors) or "all"
+        effect, sensors = candidate.effect or highlight(PLACEBO), ", ".join(candidate.sensors) or "all"
         gain = NOTHING if candidate.gain is None else f"{candidate.gain:+.1f}"
         accepted = "yes" if candidate.is_accepted else "no"
         rows.append([effect, candidate.action, sensors, number(candidate.fits, 2), gain, accepted])

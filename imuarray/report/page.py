@@ -164,7 +164,7 @@ def can_draw() -> bool:
     return find_spec("matplotlib") is not None
 
 
-def marked(text: str) -> str:
+def highlight(text: str) -> str:
     """Return escaped text that the page highlights; MissingExtraError without jinja2's escaping."""
     return markup("<mark>{}</mark>", text)
 

@@ -14,7 +14,7 @@ from typing import Any
 from imuarray.gap.findings.text import share
 from imuarray.printable import counted
 from imuarray.report.figure_style import SmallFigure
-from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, marked, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, highlight, write_page
 from imuarray.report.validation_figures import plots_of
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
@@ -107,7 +107,7 @@ def _figures(figures: Figures) -> Section:
 
 
 def _rows_table(rows: Iterable[ScoreRow], caption: str) -> Table:
-    cells = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in rows]
+    cells = [[row.name, highlight("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in rows]
     return Table(["figure", "", "value", "95 %", "cases", "bar"], cells, caption)
 
 

@@ -101,7 +101,7 @@ def code_span(sensor: SensorHeader) -> CodeSpan:
     return CodeSpan(-(1 << sensor.count_bits - 1), (1 << sensor.count_bits - 1) - 1)
 
 
-def converted(analog: Analog, span: CodeSpan) -> Counts:
+def convert(analog: Analog, span: CodeSpan) -> Counts:
     """Convert an analog signal to counts (n, 3)."""
     scaled = analog.value + analog.noise
     scaled *= analog.sensitivity / analog.step
@@ -135,7 +135,7 @@ def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Reals:
     return np.asarray(np.floor(periods, out=periods))
 
 
-def held(codes: Codes, rate_hz: float, phase: float = 0.0) -> Codes:
+def hold_readings(codes: Codes, rate_hz: float, phase: float = 0.0) -> Codes:
     """Return the readings of a chip that is polled faster than its `rate_hz` (one reading is `phase` periods before
     time 0): the latest reading is repeated and not fresh.
     """

@@ -23,7 +23,14 @@ from imuarray.barometer import BAROMETERS
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.active_spans import acting
-from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_counts, thermometer_of
+from imuarray.simulate.converters import (
+    code_span,
+    convert,
+    hold_readings,
+    latest_reading,
+    thermometer_counts,
+    thermometer_of,
+)
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.host_latency import DelayedTimes
@@ -307,14 +314,14 @@ class SimulatedSensor:
     def _convert(self, analog: Analog, phase: float) -> Codes:
         thermometer = thermometer_of(self.header)
         temperature = None if thermometer is None else thermometer_counts(thermometer, analog.thermometer_degc)
-        counts = converted(analog, self._span)
+        counts = convert(analog, self._span)
         codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))
         if self._is_polled:
-            return held(codes, analog.rate_hz, phase) if analog.rate_hz > 0 else codes
+            return hold_readings(codes, analog.rate_hz, phase) if analog.rate_hz > 0 else codes
         rows_per_s = self.timeline.rows_per_s
         is_asked_twice = self._is_late and analog.rate_hz > (1 + AT_ITS_RATE) * rows_per_s
         is_slow = 0 < (1 + AT_ITS_RATE) * analog.rate_hz < rows_per_s
-        return held(codes, analog.rate_hz, phase) if is_asked_twice or is_slow else codes
+        return hold_readings(codes, analog.rate_hz, phase) if is_asked_twice or is_slow else codes
 
     def _status(self, counts: Counts, fresh: Booleans) -> npt.NDArray[np.uint16]:
         """Return the flags that the logger would set: stale, saturated."""

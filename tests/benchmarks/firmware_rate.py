@@ -24,7 +24,16 @@ from compare import Row, row
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.serial_firmware import Firmware
 from imuarray.bus.serial_bus import SerialBus
-from imuarray.bus.serial_link import LIST, OVERHEAD, START, PollList, Request, framed, list_payload, start_payload
+from imuarray.bus.serial_link import (
+    LIST,
+    OVERHEAD,
+    START,
+    PollList,
+    Request,
+    frame_payload,
+    list_payload,
+    start_payload,
+)
 from imuarray.bus.serial_port import usual_port
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the tests' own host build
@@ -142,8 +151,8 @@ def python() -> float:
     """Frames a second of processor of the emulated firmware."""
     clock = VirtualClock()
     firmware = Firmware(CannedBus(), clock, selects=CHIPS)
-    firmware.feed(framed(LIST, 1, list_payload(0, ASKED)))
-    firmware.feed(framed(START, 2, start_payload(1_000_000 // RATE_HZ)))
+    firmware.feed(frame_payload(LIST, 1, list_payload(0, ASKED)))
+    firmware.feed(frame_payload(START, 2, start_payload(1_000_000 // RATE_HZ)))
     begun_s = time.process_time()
     for _ in range(PYTHON_FRAMES):
         clock.sleep_until(firmware.due_ns or 0)

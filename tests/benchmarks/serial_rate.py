@@ -29,7 +29,7 @@ from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import load_array
 from imuarray.bus.serial_bus import SerialBus, open_serial
-from imuarray.bus.serial_link import DATA, STOP, SYNC, TIMES_US, PollList, framed
+from imuarray.bus.serial_link import DATA, STOP, SYNC, TIMES_US, PollList, frame_payload
 from imuarray.bus.serial_port import usual_port
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -121,7 +121,7 @@ def frame_of(number: int, size: int, started_us: int = 0) -> bytes:
     """What the microcontroller sends in this frame; readings are noise without a sync in it."""
     draw = zlib.crc32(number.to_bytes(4, "little")).to_bytes(4, "little") * size
     payload = b"\0" + draw[: size - 1].replace(SYNC[:1], b"\0")
-    return framed(DATA, number, payload, (started_us + number * PERIOD_US) % TIMES_US)
+    return frame_payload(DATA, number, payload, (started_us + number * PERIOD_US) % TIMES_US)
 
 
 def bulk(bus: SerialBus) -> float:

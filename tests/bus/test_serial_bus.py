@@ -17,7 +17,7 @@ from imuarray.acquire.bus_segment import Pca9544a
 from imuarray.array import parse_array
 from imuarray.bus import Bus, open_bus, serial_bus, serial_session
 from imuarray.bus.serial_bus import SerialBus
-from imuarray.bus.serial_link import ANSWER, LinkError, PollList, Request, framed
+from imuarray.bus.serial_link import ANSWER, LinkError, PollList, Request, frame_payload
 from imuarray.errors import BusUrlError
 from tests.bus.conversations import CONVERSATIONS, DEVICE, MUX, ON_CHANNEL, ON_TRUNK
 from tests.bus.serial_bench import Bench, Handle
@@ -102,7 +102,7 @@ def test_answers_in_pieces_within_garbage_are_read() -> None:
 def test_a_late_answer_to_another_command_is_ignored() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
-        stale = framed(0x02 | ANSWER, 0x1234, b"\x00\x99")
+        stale = frame_payload(0x02 | ANSWER, 0x1234, b"\x00\x99")
         bench.delivered = lambda piece: stale + piece
         assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
 
@@ -133,7 +133,7 @@ def test_answers_of_earlier_boots_are_refused(counter_us: int) -> None:
 def test_a_left_over_answer_to_hello_does_not_set_the_clock() -> None:
     """It is of the first command's number, and arrives before the true one."""
     bench = Bench(ARRAY, counter_us=900_000_000)
-    stale = iter([framed(0x01 | ANSWER, 2, b"\x01\x80\x00\x06", 77_000_000)])
+    stale = iter([frame_payload(0x01 | ANSWER, 2, b"\x01\x80\x00\x06", 77_000_000)])
     count = 0
 
     def delivered(piece: bytes) -> bytes:
@@ -172,7 +172,7 @@ def test_a_port_without_the_link_protocol_is_refused() -> None:
 
 def test_another_version_of_the_link_is_refused() -> None:
     bench = Bench(ARRAY)
-    bench.delivered = lambda piece: framed(0x81, int.from_bytes(piece[5:7], "little"), b"\x02\x80\x00\x06")
+    bench.delivered = lambda piece: frame_payload(0x81, int.from_bytes(piece[5:7], "little"), b"\x02\x80\x00\x06")
     with pytest.raises(LinkError, match="speaks version 2 of the link, not 1"):
         bench.bus()
 
@@ -236,7 +236,7 @@ def test_whole_frames_of_unknown_meaning_are_ignored(strange: list[tuple[int, in
         bus.start([PollList(1, 0, (DEVID,))], 5000)
         received(bus, 0, 3)
         time_us = bench.firmware.time_us()
-        bench.sent += b"".join(framed(kind, number, payload, time_us) for kind, number, payload in strange)
+        bench.sent += b"".join(frame_payload(kind, number, payload, time_us) for kind, number, payload in strange)
         for _ in range(3):
             for number, samples in bus.receive().items():
                 assert number == 0

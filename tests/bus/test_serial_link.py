@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_emulator import serial_firmware as firmware
 from imuarray.bus import serial_link as link
-from imuarray.bus.serial_link import Deframer, Frame, LinkError, PollList, Request, framed
+from imuarray.bus.serial_link import Deframer, Frame, LinkError, PollList, Request, frame_payload
 
 
 def crc32(data: bytes) -> int:
@@ -38,21 +38,21 @@ def test_the_crc_gives_its_check_value() -> None:
 @pytest.mark.parametrize(
     ("ours", "bytes_of_the_description"),
     [
-        (framed(link.HELLO, 1), on_the_wire(0x01, 1, 0, b"")),
+        (frame_payload(link.HELLO, 1), on_the_wire(0x01, 1, 0, b"")),
         (
-            framed(link.TRANSFER, 0xFFFE, link.transfer_payload(0x53, b"\x32", 6)),
+            frame_payload(link.TRANSFER, 0xFFFE, link.transfer_payload(0x53, b"\x32", 6)),
             on_the_wire(0x02, 0xFFFE, 0, bytes.fromhex("53 0600 32")),
         ),
         (
-            framed(
+            frame_payload(
                 link.LIST,
                 2,
                 link.list_payload(3, PollList(50, 7, (Request(0x70, b"\x04", 0), Request(0x53, b"\x30", 8)))),
             ),
             on_the_wire(0x03, 2, 0, bytes.fromhex("03 3200 0700  70 01 00 04  53 01 08 30")),
         ),
-        (framed(link.START, 3, link.start_payload(20_000)), on_the_wire(0x04, 3, 0, bytes.fromhex("204e0000"))),
-        (framed(link.STOP, 4), on_the_wire(0x05, 4, 0, b"")),
+        (frame_payload(link.START, 3, link.start_payload(20_000)), on_the_wire(0x04, 3, 0, bytes.fromhex("204e0000"))),
+        (frame_payload(link.STOP, 4), on_the_wire(0x05, 4, 0, b"")),
         (firmware.frame(0xD0, 70_000, (1 << 32) + 5, b"\x00\x07"), on_the_wire(0xD0, 4464, 5, b"\x00\x07")),
     ],
 )
@@ -85,7 +85,7 @@ def frame_arguments(frame: Frame) -> tuple[int, int, bytes, int]:
 
 
 def wire(frame: Frame) -> bytes:
-    return framed(*frame_arguments(frame))
+    return frame_payload(*frame_arguments(frame))
 
 
 def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
@@ -168,7 +168,7 @@ def test_results_are_errnos_of_linux(payload: bytes, number: int) -> None:
 
 def test_payloads_that_no_frame_can_carry_are_refused() -> None:
     with pytest.raises(ValueError, match="1025 bytes in a frame"):
-        framed(1, 0, bytes(1025))
+        frame_payload(1, 0, bytes(1025))
     for address, write, read in ((0x80, b"", 0), (-1, b"", 0), (0x53, b"", -1)):
         with pytest.raises(ValueError, match="addresses of 7 bits"):
             link.transfer_payload(address, write, read)

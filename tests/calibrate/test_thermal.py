@@ -13,7 +13,7 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.opposed import cancelled
+from imuarray.calibrate.opposed import compare_opposed
 from imuarray.calibrate.segments import (
     CorrelatedNoise,
     SegmentMeans,
@@ -413,20 +413,20 @@ def test_cancellation_of_a_pair_by_hand(
     cancels: float,
     nothing_left: float,
 ) -> None:
-    result = cancelled(*slopes, *sems)
+    result = compare_opposed(*slopes, *sems)
     assert result == pytest.approx((half, sem, reduction, cancels, nothing_left), abs=1e-5)
 
 
 def test_false_alarms_of_cancellation_are_rare() -> None:
     """One axis drifts, its opponent does not at all: 5 % of 4000 tests, three binomial standard errors."""
     rng = np.random.default_rng(8)
-    called = [cancelled(5.0, slope, 0.1, 0.1)[3] < 0.05 for slope in rng.normal(0, 0.1, 4000)]
+    called = [compare_opposed(5.0, slope, 0.1, 0.1)[3] < 0.05 for slope in rng.normal(0, 0.1, 4000)]
     assert np.mean(called) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 4000)
 
 
 def test_cancellation_of_the_papers_pair() -> None:
     """0.265 and 0.261 LSB/degC cancel to 0.002, 131.5 times less."""
-    half, _, reduction, _, _ = cancelled(0.265, 0.261, 0.001, 0.001)
+    half, _, reduction, _, _ = compare_opposed(0.265, 0.261, 0.001, 0.001)
     assert (half, reduction) == (pytest.approx(0.002), pytest.approx(131.5))
 
 

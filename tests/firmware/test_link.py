@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from imuarray.bus.serial_link import MAX_PAYLOAD, Deframer, Frame, framed
+from imuarray.bus.serial_link import MAX_PAYLOAD, Deframer, Frame, frame_payload
 from tests.firmware.build import Core, CoreReceiver
 from tests.selection import examples
 
@@ -29,7 +29,7 @@ syncs = st.sampled_from([b"\xa5", b"\x5a", b"\xa5\x5a", b"\xa5\x5a\xff\x03", b"\
 
 
 def wire(frame: Frame) -> bytes:
-    return framed(frame.kind, frame.sequence, frame.payload, frame.time_us)
+    return frame_payload(frame.kind, frame.sequence, frame.payload, frame.time_us)
 
 
 damage = st.one_of(

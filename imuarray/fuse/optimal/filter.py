@@ -43,8 +43,8 @@ from imuarray.fuse.optimal.states import (
     Innovation,
     StateResponse,
     StateStep,
-    corrected,
-    predicted,
+    correct_states,
+    predict_states,
     smoothed_drifts,
 )
 
@@ -362,7 +362,7 @@ class ArrayFilter:
         since = int(part.time[0]) if self._since is None else self._since
         decay, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
         self._step = (self.belief, decay, added)
-        self.belief = predicted(self.belief, decay, added)
+        self.belief = predict_states(self.belief, decay, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
         self._view = segment_view(self.states.response_at(warmer_degc), self.geometry, self.belief)
         self._view.begin(part, self._stimulus, self._dynamics.recent())
@@ -374,7 +374,7 @@ class ArrayFilter:
         if self._view is None:
             return
         rows, values = self._evidence.measurements(self.states.response_at(self.warmer_degc))
-        self.belief, innovation = corrected(self.belief, rows, values)
+        self.belief, innovation = correct_states(self.belief, rows, values)
         if self._record is not None:
             self._record(Step(*self._step, self.warmer_degc, innovation))
         self._view = None

@@ -209,7 +209,7 @@ class ClippedReadings(NamedTuple):
     signs: Floats
 
 
-def truncated(distance: Floats) -> tuple[Floats, Floats]:
+def truncate_normal(distance: Floats) -> tuple[Floats, Floats]:
     """Return mean and variance of a standard normal that is above `distance`, of any sign.
 
     Johnson, Kotz, Balakrishnan, "Continuous univariate distributions", volume 1, 1994, section 13.10.1.
@@ -223,7 +223,7 @@ def truncated(distance: Floats) -> tuple[Floats, Floats]:
     return mean, np.clip(variance, 0.0, 1.0)
 
 
-def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> tuple[Floats, Floats]:
+def censor(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> tuple[Floats, Floats]:
     """Update `unknowns` (n, k) and their covariance (n, k, k) by the bounds of clipped axes."""
     count = unknowns.shape[1]
     mean = np.concatenate([unknowns, unknowns @ clipped.rows.T], axis=1)
@@ -232,7 +232,7 @@ def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> 
         place = count + index
         sign, deviation = clipped.signs[:, index], np.sqrt(np.maximum(joint[:, place, place], 1e-300))
         distance = sign * (clipped.bounds[:, index] - mean[:, place]) / deviation
-        moved, remaining = truncated(distance)
+        moved, remaining = truncate_normal(distance)
         gain = joint[:, :, place] / deviation[:, None]
         mean = mean + gain * (sign * moved)[:, None]
         joint = joint - gain[:, :, None] * gain[:, None, :] * (1 - remaining)[:, None, None]
@@ -323,7 +323,7 @@ def _solve_odd(
             beyond = _clipped_readings(
                 view, bounds, valid, np.flatnonzero(axes), terms[pattern_frames], gains[pattern_frames]
             )
-            into.unknowns[selected], into.covariance[selected] = censored(
+            into.unknowns[selected], into.covariance[selected] = censor(
                 into.unknowns[selected], into.covariance[selected], beyond
             )
 

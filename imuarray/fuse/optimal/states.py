@@ -52,7 +52,7 @@ class Adjoint(NamedTuple):
     matrix: Floats
 
 
-def predicted(prior: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
+def predict_states(prior: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
     """Return the predicted states: the share `remaining` (n,) of each, and the variance `added` (n,)."""
     mean, covariance = np.empty(prior.mean.shape), np.empty(prior.covariance.shape)
     if not compiled.COMPILED or not compiled.predict((remaining, added, *prior, mean, covariance), len(mean)):
@@ -62,7 +62,7 @@ def predicted(prior: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
     return Gaussian(mean, covariance)
 
 
-def corrected(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
+def correct_states(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
     """Return the states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
     posterior = Gaussian(np.empty(prior.mean.shape), np.empty(prior.covariance.shape))
     step = Innovation(np.empty(rows.shape), np.empty(rows.shape), np.empty(values.shape))
@@ -74,16 +74,16 @@ def corrected(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, 
     innovations.ravel()[:: len(rows) + 1] += 1.0  # the diagonal
     inverse_root = np.linalg.inv(np.linalg.cholesky(innovations))
     step = Innovation(inverse_root @ rows, inverse_root @ covariances, inverse_root @ (values - rows @ prior.mean))
-    return updated(prior, step), step
+    return update_states(prior, step), step
 
 
-def updated(prior: Gaussian, step: Innovation) -> Gaussian:
+def update_states(prior: Gaussian, step: Innovation) -> Gaussian:
     """Return the states after the measurements of a known step."""
     gain = step.gain
     return Gaussian(prior.mean + gain.T @ step.values, prior.covariance - gain.T @ gain)
 
 
-def backwards(later: Adjoint, step: Innovation) -> Adjoint:
+def step_back(later: Adjoint, step: Innovation) -> Adjoint:
     """Return the information of these and all later measurements on the state as predicted before them.
 
     With ``kept = 1 - gain' whitened`` the vector is ``kept' vector - whitened' values`` and the matrix ``kept' matrix
@@ -176,13 +176,13 @@ def smoothed_drifts(
             return smoothed
     beliefs: list[Gaussian] = []
     for step in steps:
-        beliefs.append(predicted(belief, step.remaining, step.added))
-        belief = updated(beliefs[-1], step.innovation)
+        beliefs.append(predict_states(belief, step.remaining, step.added))
+        belief = update_states(beliefs[-1], step.innovation)
     drifts: list[Drift] = []
     for at, step in zip(beliefs[::-1], steps[::-1], strict=True):
-        later = backwards(later, step.innovation)
+        later = step_back(later, step.innovation)
         drifts.append(step.response.drift(at, later, drifting))
-        later = Adjoint(*predicted(Gaussian(*later), step.remaining, np.zeros(len(drifting))))
+        later = Adjoint(*predict_states(Gaussian(*later), step.remaining, np.zeros(len(drifting))))
     return drifts[::-1], later
 
 

@@ -33,7 +33,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import BIAS
-from imuarray.calibrate.opposed import OPPOSED, cancelled
+from imuarray.calibrate.opposed import OPPOSED, compare_opposed
 from imuarray.fuse.frames import Axis, Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import Technique, mean, solve_frames
 from imuarray.log import SensorLog
@@ -132,7 +132,7 @@ def _reduction(error: tuple[float, float] | None, other_error: tuple[float, floa
     if error is None or other_error is None:
         return None
     (first, sem_first), (second, sem_second), tiny = error, other_error, np.finfo(float).tiny
-    remaining, sem, reduction, p_value, _ = cancelled(first, second, max(sem_first, tiny), max(sem_second, tiny))
+    remaining, sem, reduction, p_value, _ = compare_opposed(first, second, max(sem_first, tiny), max(sem_second, tiny))
     single = (abs(first) + abs(second)) / 2
     low, high = abs(remaining) - _WITHIN * sem, abs(remaining) + _WITHIN * sem
     return Reduction(

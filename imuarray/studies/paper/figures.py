@@ -197,7 +197,7 @@ def rate_hz(series: Series) -> float:
     return float((len(series.time_ns) - 1) / (series.time_ns[-1] - series.time_ns[0]) * 1e9)
 
 
-def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> TimeCurve:
+def smooth(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> TimeCurve:
     """Return the moving average minus the total mean, every `step_s`, at the middle of the window (Figure 6)."""
     rows, step = (max(1, round(seconds * rate_hz(series))) for seconds in (window_s, step_s))
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(series.counts, axis=0, dtype=float)])
@@ -283,7 +283,7 @@ def in_run_figure(observed: ExperimentData) -> Figure:
     figure, panels = _sheet(7.5, 8.0, 3)
     for panel, (title, names) in zip(panels, _GROUPS, strict=True):
         for name, colour in zip(names, _SENSOR_COLOURS, strict=False):
-            curve = smoothed(observed.still[name])
+            curve = smooth(observed.still[name])
             for axis, values in zip("xyz", curve.lsb.T, strict=True):
                 panel.plot(curve.seconds / 60, values, color=colour, dashes=_AXIS_DASHES[axis], linewidth=1.3)
         panel.axhline(0, color="black", linewidth=0.6)

@@ -11,7 +11,7 @@ from math import floor, inf, isfinite, log10
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, marked, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, highlight, write_page
 from imuarray.studies.paper import figures
 from imuarray.studies.paper.replica.statistic import within
 from imuarray.studies.paper.results import SOURCE, recompute, recomputed_rows
@@ -331,7 +331,7 @@ def _table(lines: Sequence[PrintedNumber], caption: str = "") -> Table:
 
 def _row(line: PrintedNumber) -> list[str]:
     texts = line.texts()
-    return [*texts[:-1], marked(texts[-1])] if line.marked else texts
+    return [*texts[:-1], highlight(texts[-1])] if line.marked else texts
 
 
 _OF_TABLE: dict[int, dict[str, Callable[[ExperimentData], Drawing]]] = {

@@ -8,7 +8,7 @@ from scipy.stats import norm, truncnorm
 
 from imuarray.fuse.frames import Axis, Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, ErrorModel, Optimal
-from imuarray.fuse.optimal.frame_solution import truncated
+from imuarray.fuse.optimal.frame_solution import truncate_normal
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, model_of, times, triad
 
 END = 0.98 * 10.0
@@ -22,7 +22,7 @@ def pair(bias: float = 0.0) -> tuple[list[Axis], ErrorModel]:
 
 def test_the_standard_truncated_normal_equals_scipy() -> None:
     for distance in (-40.0, -5.0, -1.0, 0.0, 0.5, 3.0, 8.0, 30.0):
-        mean, variance = truncated(np.array([distance]))
+        mean, variance = truncate_normal(np.array([distance]))
         wanted = truncnorm.stats(distance, np.inf, moments="mv")
         assert mean[0] == pytest.approx(wanted[0], rel=1e-9, abs=1e-9)
         assert variance[0] == pytest.approx(wanted[1], rel=1e-6)
@@ -31,7 +31,7 @@ def test_the_standard_truncated_normal_equals_scipy() -> None:
 @pytest.mark.parametrize("distance", [100.0, 1e4, 1e8])
 def test_the_far_tail_of_the_truncated_normal_is_exponential(distance: float) -> None:
     """Mean d + 1/d and deviation 1/d (Mills's ratio), where scipy's own loses all digits."""
-    mean, variance = truncated(np.array([distance]))
+    mean, variance = truncate_normal(np.array([distance]))
     assert mean[0] == pytest.approx(distance + 1 / distance, rel=1e-6)
     assert np.sqrt(variance[0]) == pytest.approx(1 / distance, rel=1e-3)
 

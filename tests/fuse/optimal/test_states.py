@@ -10,7 +10,15 @@ import pytest
 from imuarray.fuse.optimal import compiled
 from imuarray.fuse.optimal.filter import SegmentEvidence, _measurements
 from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.states import Adjoint, Gaussian, Innovation, StateResponse, backwards, corrected, predicted
+from imuarray.fuse.optimal.states import (
+    Adjoint,
+    Gaussian,
+    Innovation,
+    StateResponse,
+    correct_states,
+    predict_states,
+    step_back,
+)
 
 ROWS, STATES = 6, 40
 
@@ -72,12 +80,12 @@ def test_a_backward_step_equals_that_of_full_matrices() -> None:
     at = Gaussian(rng.normal(size=STATES), _spread(rng, STATES) / STATES)
     rows, values = rng.normal(size=(5, STATES)), rng.normal(size=5)
     later = Adjoint(rng.normal(size=STATES), _spread(rng, STATES))
-    _, innovation = corrected(at, rows, values)
+    _, innovation = correct_states(at, rows, values)
     inverse = np.linalg.inv(rows @ at.covariance @ rows.T + np.eye(5))
     kept = np.eye(STATES) - at.covariance @ rows.T @ inverse @ rows
     vector = kept.T @ later.vector - rows.T @ inverse @ (values - rows @ at.mean)
     matrix = kept.T @ later.matrix @ kept + rows.T @ inverse @ rows
-    before = backwards(later, innovation)
+    before = step_back(later, innovation)
     np.testing.assert_allclose(before.vector, vector, rtol=1e-11, atol=1e-11)
     np.testing.assert_allclose(before.matrix, matrix, rtol=1e-11, atol=1e-10)
     np.testing.assert_array_equal(before.matrix, before.matrix.T)
@@ -86,14 +94,14 @@ def test_a_backward_step_equals_that_of_full_matrices() -> None:
 def test_a_backward_step_without_measurements_changes_nothing() -> None:
     rng = np.random.default_rng(5)
     later = Adjoint(rng.normal(size=3), _spread(rng, 3))
-    before = backwards(later, Innovation(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)))
+    before = step_back(later, Innovation(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)))
     np.testing.assert_array_equal(before.vector, later.vector)
     np.testing.assert_array_equal(before.matrix, later.matrix)
 
 
 def test_states_without_measurements_are_unchanged() -> None:
     belief = Gaussian(np.arange(3.0), np.diag([1.0, 2.0, 3.0]))
-    after, innovation = corrected(belief, np.zeros((0, 3)), np.zeros(0))
+    after, innovation = correct_states(belief, np.zeros((0, 3)), np.zeros(0))
     assert (after.mean == belief.mean).all() and (after.covariance == belief.covariance).all()
     assert innovation.gain.shape == (0, 3)
 
@@ -108,8 +116,8 @@ def test_compiled_steps_equal_those_of_numpy(states: int, measurements: int, mon
     decay, added = rng.random(states), rng.random(states)
 
     def results() -> list[np.ndarray]:
-        after, innovation = corrected(belief, rows, values)
-        return [*after, *innovation, *backwards(later, innovation), *predicted(belief, decay, added)]
+        after, innovation = correct_states(belief, rows, values)
+        return [*after, *innovation, *step_back(later, innovation), *predict_states(belief, decay, added)]
 
     ours = results()
     for name in ("predict", "correct", "turn_back"):
@@ -137,7 +145,7 @@ def test_compiled_effects_equal_those_of_numpy(terms: int, monkeypatch: pytest.M
 def test_covariances_that_are_not_positive_are_refused() -> None:
     belief = Gaussian(np.zeros(2), np.diag([-5.0, 1.0]))
     with pytest.raises(np.linalg.LinAlgError):
-        corrected(belief, np.eye(2), np.zeros(2))
+        correct_states(belief, np.eye(2), np.zeros(2))
 
 
 @pytest.mark.skipif(

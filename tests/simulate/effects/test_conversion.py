@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from imuarray.simulate.converters import code_span, converted
+from imuarray.simulate.converters import code_span, convert
 from imuarray.simulate.effects.conversion import Quantisation, Saturation
 
 
@@ -17,14 +17,14 @@ class TestQuantisation:
         """Multiples of four (BMA-61), and none beyond the last one within 14 bits."""
         ramp = np.linspace(-20, 20, 9001)[:, None]
         after = Quantisation(4).analog(analog(0, 9001, value=ramp), place())
-        codes = np.unique(converted(after, code_span(sensor("bma180"))))
+        codes = np.unique(convert(after, code_span(sensor("bma180"))))
         assert codes.tolist() == list(range(-8192, 8189, 4))
 
     def test_rounding_noise_has_its_rms(self, place, analog, sensor) -> None:
         """step / sqrt(12) rms of a signal that takes every value alike."""
         ramp = np.linspace(-1, 1, 30011)[:, None]
         after = Quantisation(16).analog(analog(0, 30011, value=ramp), place())
-        error = converted(after, code_span(sensor("bma180"))) - ramp * 512
+        error = convert(after, code_span(sensor("bma180"))) - ramp * 512
         assert np.sqrt((error**2).mean()) == pytest.approx(16 / math.sqrt(12), rel=1e-3)
 
     @pytest.mark.parametrize(("already", "asked", "becomes"), [(1, 3, 3), (2, 2, 2), (2, 3, 6), (2, 4, 4)])
@@ -34,7 +34,7 @@ class TestQuantisation:
     def test_each_axis_can_have_its_step(self, place, analog, sensor) -> None:
         """0.0195 g are 9.98 counts of 512 per g: 10 where codes have steps of one, 8 where they have steps of four."""
         after = Quantisation((1.0, 4.0, 2.0)).analog(analog(0, 2, value=0.0195), place())
-        assert converted(after, code_span(sensor("bma180"))).tolist() == [[10, 8, 10]] * 2
+        assert convert(after, code_span(sensor("bma180"))).tolist() == [[10, 8, 10]] * 2
 
     def test_a_dead_bit_is_cleared(self, place, codes) -> None:
         """Of -9 ... 9, two's complement, without the bit that counts four: codes with that bit read four lower."""
@@ -96,7 +96,7 @@ class TestSaturation:
 
     def test_codes_are_limited_before_the_end_of_their_span(self, place, analog, sensor) -> None:
         after = Saturation(5.0).analog(analog(0, 1, value=(9, -9, 4), noise=0.3), place())
-        assert converted(after, code_span(sensor("bma180"))).tolist() == [[2560, -2560, 2202]]
+        assert convert(after, code_span(sensor("bma180"))).tolist() == [[2560, -2560, 2202]]
 
 
 REFUSED: list[tuple[Callable[[], object], str]] = [

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from imuarray.simulate.converters import held
+from imuarray.simulate.converters import hold_readings
 from imuarray.simulate.effects.conversion import OdrError
 from imuarray.simulate.signal import Analog, Codes, Instants
 from tests.simulate.conftest import MakePlace, header
@@ -66,7 +66,7 @@ def test_the_lookback_is_sufficient(place: MakePlace, codes: Callable[..., Codes
     back = OdrError(rate_hz).lookback(place(rows_per_s=100.0))
     assert back == rows
     if back:
-        whole, alone = (held(codes(first, 1000), rate_hz) for first in (0, 700 - back))
+        whole, alone = (hold_readings(codes(first, 1000), rate_hz) for first in (0, 700 - back))
         np.testing.assert_array_equal(alone.counts[back:], whole.counts[700:])
         np.testing.assert_array_equal(alone.fresh[back:], whole.fresh[700:])
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 from imuarray.array import parse_array
 from imuarray.log.format import STALE
-from imuarray.simulate.converters import held, latest_reading
+from imuarray.simulate.converters import hold_readings, latest_reading
 from imuarray.simulate.effects.conversion import OdrError
 from imuarray.simulate.effects.timing import OwnClock
 from imuarray.simulate.sensor import SimulatedSensor
@@ -99,7 +99,7 @@ class TestInstants:
     def test_a_reading_is_at_most_one_period_old_and_stable(
         self, instant_ns: int, rate_hz: float, phase: float
     ) -> None:
-        """`held` decides by the readings' times which of them are the same."""
+        """`hold_readings` decides by the readings' times which of them are the same."""
         (result,) = latest_reading(np.array([instant_ns]), rate_hz, phase).tolist()
         rounding_ns = 2 + 1e-6 * 1e9 / rate_hz
         assert -rounding_ns <= instant_ns - result <= 1e9 / rate_hz + rounding_ns
@@ -179,7 +179,7 @@ class TestHeldReadings:
         back = OwnClock(rate_error, 90.0).lookback(at_rate(place, 10.0))
         assert back == rows
         if back:
-            whole, alone = (held(codes(first, 1000), 10 * (1 + rate_error), 0.25) for first in (0, 700 - back))
+            whole, alone = (hold_readings(codes(first, 1000), 10 * (1 + rate_error), 0.25) for first in (0, 700 - back))
             np.testing.assert_array_equal(alone.counts[back:], whole.counts[700:])
             np.testing.assert_array_equal(alone.fresh[back:], whole.fresh[700:])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.log.writer import Block
-from imuarray.studies.paper.figures import SEGMENT, correlogram, histogram, profile, rate_hz, smoothed, spectrum
+from imuarray.studies.paper.figures import SEGMENT, correlogram, histogram, profile, rate_hz, smooth, spectrum
 from imuarray.studies.paper.replica.simulation import Series, StoredSensor
 
 RATE = 50.0
@@ -21,7 +21,7 @@ def series(counts: np.ndarray) -> Series:
 def test_the_moving_average_of_a_ramp_is_the_ramp() -> None:
     rows = 20_000
     ramp = np.outer(np.arange(rows), [1.0, -0.5, 0.0])
-    result = smoothed(series(np.floor(ramp)), window_s=40.0, step_s=2.0)
+    result = smooth(series(np.floor(ramp)), window_s=40.0, step_s=2.0)
     middle = result.seconds * RATE
     np.testing.assert_allclose(result.lsb[:, 0], middle - (rows - 1) / 2, atol=1e-6)
     np.testing.assert_allclose(result.lsb[:, 1], -(middle - (rows - 1) / 2) / 2, atol=0.5)  # halves are rounded
