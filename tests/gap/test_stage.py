@@ -19,6 +19,7 @@ from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.sensor import Chunk, SimulatedSensor
 from imuarray.simulate.streams import DrawMemory
 from tests.gap.small_bench import prepared
 
@@ -43,6 +44,26 @@ def test_long_logs_are_simulated_few_at_a_time() -> None:
     long = replace(short, experiments=(Experiment(replace(plan, sensors=cast(Any, sensors)), motion),))
     assert long.together == 2
     assert replace(long, experiments=long.experiments * 9).together == 1
+
+
+def test_only_the_rows_of_a_training_part_are_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three phases of 200 s or less, of which each has its first half in the training part, in a log of four chunks;
+    chunks would be three quarters more.
+    """
+    bench, _ = prepared([("motion", HandShake(still_s=400, motion_s=20))], ["G1"])
+    stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
+    (phases,) = bench.split.phases(False)
+    simulated: list[int] = []
+    evaluate = SimulatedSensor._evaluate
+
+    def count(self: SimulatedSensor, begin: int, end: int, swapped: bool = True) -> Chunk:
+        simulated.append(end - begin)
+        return evaluate(self, begin, end, swapped)
+
+    monkeypatch.setattr(SimulatedSensor, "_evaluate", count)
+    stage.simulated(stage.models(), 0, held_out=False)
+    used = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in phases) * 100
+    assert sum(simulated) == pytest.approx(used, abs=2 * len(phases))
 
 
 @pytest.mark.slow

@@ -106,6 +106,11 @@ _ROWS = 8 * CHUNK
 four chunks.
 """
 
+_PHASES_PER_CHUNK = 2
+"""Largest mean number of phases in a chunk of rows of which only the rows of the phases are simulated: with more of
+them, calls for single phases cost more than the whole chunk.
+"""
+
 _MEMORY_BYTES = 1 << 27
 """Size of the cache of draws and motions of a process, in bytes: enough for two sensors in two replicates of an hour at
 100 Hz, or in twelve of ten minutes.
@@ -202,9 +207,10 @@ class Stage:
         chosen = range(len(self.kinds)) if logs is None else logs
         effects = [self._effects({**other_models, **models}, number) for models, number in requests]
         phases = self.split.phases(None if held_out else False)
-        demand = Demand.ANY if held_out else Demand.APART
         parts = [
-            self._replicated(LogPart(at, phases[at], self._layouts(at, held_out), demand), requests, effects)
+            self._replicated(
+                LogPart(at, phases[at], self._layouts(at, held_out), self._demand(at, held_out)), requests, effects
+            )
             if at in chosen
             else [LogSummary(kind, ())] * len(requests)
             for at, kind in enumerate(self.kinds)
@@ -251,13 +257,21 @@ class Stage:
             latest.pop(next(iter(latest)), None)
         return [known[key] for key in keys]
 
-    def _log_key(self, part: LogPart, models: Models, number: int, effects: Effects) -> Hashable:
-        """Return a key of everything that the summary of a part of a log depends on in a replicate. Parts of one log
-        differ in their demand.
+    def _demand(self, log: int, held_out: bool) -> Demand:
+        """Return which rows of a log are needed: all of both parts; of the training part those of its phases, short
+        ones with the rest of their chunks if there are many.
         """
+        if held_out:
+            return Demand.ANY
+        rows = max((line.rows for _, line in self.experiments[log].plan.sensors.values()), default=0)
+        phases = self.split.phases(False)[log]
+        return Demand.FEW if len(phases) <= _PHASES_PER_CHUNK * rows / CHUNK else Demand.APART
+
+    def _log_key(self, part: LogPart, models: Models, number: int, effects: Effects) -> Hashable:
+        """Return a key of everything that the summary of a part of a log depends on in a replicate."""
         is_swapped = any(effect.name == ChannelSwap.name for of_sensor in effects.values() for effect in of_sensor)
         names = effects if is_swapped else self._simulated_names(part.log, models, effects)
-        return part.log, number, part.demand, frozenset(models), tuple((name, effects[name]) for name in names)
+        return part.log, number, tuple(part.phases), frozenset(models), tuple((name, effects[name]) for name in names)
 
     @cached_property
     def _latest_logs(self) -> dict[Hashable, LogSummary]:
