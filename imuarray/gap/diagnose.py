@@ -59,12 +59,14 @@ from imuarray.gap.findings.verdict import (
     unknown_probability,
     with_limits,
 )
-from imuarray.gap.inference.assessment import Assessment, assess
+from imuarray.gap.inference.assessment import Assessment, assess, largest_of
 from imuarray.gap.inference.comparison import (
+    ENOUGH,
     Comparison,
     compare_with_base,
     compare_with_earlier,
     cut_to_equal_lengths,
+    is_decided,
     observe_replicates,
     prepare,
 )
@@ -97,7 +99,9 @@ or far beyond it (`imuarray.gap.inference.comparison.CLEAR`).
 """
 
 REPAIRED = 32
-"""Number of replicates of the model with its causes."""
+"""Largest number of replicates of the model with its causes. Fewer are simulated if they show that the remainder is
+well within chance or far beyond it, as for the base model.
+"""
 
 _FIRST_REPAIRED = 2_000_000
 
@@ -371,13 +375,17 @@ def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Ver
     comparison = case.comparison
     if not causes:
         return Verification(comparison.replicates, comparison.assessment)
-    numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
-    replicates: Sequence[StatisticValues] = observe_replicates(comparison.bench, search.models, numbers, case.run)
-    if comparison.earlier is not None:
-        replicates = comparison.earlier.with_scatter(replicates, numbers)
     floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.assessment.likelihood))
-    values = np.array([replicate.values for replicate in replicates])
-    return Verification(replicates, assess(comparison.pairs, comparison.real.values, values, floor))
+    replicates: list[StatisticValues] = []
+    for count in (*(count for count in ENOUGH if count < REPAIRED), REPAIRED):
+        numbers = range(_FIRST_REPAIRED + len(replicates), _FIRST_REPAIRED + count)
+        more = observe_replicates(comparison.bench, search.models, numbers, case.run)
+        replicates += more if comparison.earlier is None else comparison.earlier.with_scatter(more, numbers)
+        values = np.array([replicate.values for replicate in replicates])
+        after = assess(comparison.pairs, comparison.real.values, values, floor)
+        if is_decided(count, after.p, float(largest_of(after.normal)), after.furthest):
+            break
+    return Verification(replicates, after)
 
 
 def _report(

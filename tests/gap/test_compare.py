@@ -25,6 +25,7 @@ from imuarray.gap.inference.comparison import (
     _queued_in,
     _without_flags_never_set,
     compare_with_base,
+    is_decided,
     settle_bench,
 )
 from imuarray.gap.model.base_model import fit
@@ -287,6 +288,23 @@ def test_limits_of_a_sequential_test_do_not_rise() -> None:
     given_up = [binom.sf(limit * (count + 1) - 1, count, LEVEL) for count, limit in ENOUGH.items()]
     assert sum(given_up) < 0.005
     assert min(ENOUGH) < REPLICATES
+
+
+@pytest.mark.parametrize(
+    ("count", "p", "largest", "decided"),
+    [
+        (20, 0.36, 3.0, True),  # well within chance
+        (20, 0.34, 3.0, False),
+        (20, 1 / 21, 40.0, False),  # so few do not show how far chance reaches
+        (28, 1 / 29, 12.1, True),  # three times as far as the furthest of 4
+        (28, 1 / 29, 11.9, False),
+        (32, 1 / 33, 12.1, True),
+        (32, 0.5, 3.0, False),  # no look at this number
+        (40, 1 / 41, 6.1, True),
+    ],
+)
+def test_few_replicates_decide_what_is_clear(count: int, p: float, largest: float, decided: bool) -> None:
+    assert is_decided(count, p, largest, 4.0) == decided
 
 
 def test_a_flag_without_rows_is_missing() -> None:

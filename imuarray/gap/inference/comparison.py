@@ -414,8 +414,8 @@ def compare_with_base(
     real = real if earlier is None else earlier.without_discrepancy(real)
     real = replace(real, values=_without_flags_never_set(bench.keys, real.values))
     simulated: tuple[StatisticValues, ...] = ()
-    looks = [(count, limit) for count, limit in ENOUGH.items() if count < replicates]
-    for count, limit in (*looks, (replicates, 0.0)):
+    looks = [count for count in ENOUGH if count < replicates]
+    for count in (*looks, replicates):
         numbers = range(len(simulated), count)
         more = observe_replicates(bench, bench.models(), numbers, run)
         simulated += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
@@ -423,17 +423,19 @@ def compare_with_base(
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
         where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
-        if where.p > limit or _is_clear(normal):
+        largest = largest_of(normal)
+        if is_decided(count, where.p, float(largest[0]), float(largest[1:].max())):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
 
 
-def _is_clear(scores: Floats) -> bool:
-    """Return whether the recording, the first row of normal scores (1 + b, m), is far beyond all replicates."""
-    largest = largest_of(scores)
-    limits = [limit for count, limit in CLEAR.items() if count < len(scores)]
-    return bool(limits and largest[0] > min(limits) * largest[1:].max())
+def is_decided(count: int, p: float, largest: float, furthest: float) -> bool:
+    """Return whether more than `count` replicates would change little: a recording with this p-value is well within
+    chance (`ENOUGH`), or its `largest` normal score is far beyond the `furthest` of all replicates (`CLEAR`).
+    """
+    limits = [limit for least, limit in CLEAR.items() if least <= count]
+    return p > ENOUGH.get(count, 1.0) or (bool(limits) and largest > min(limits) * furthest)
 
 
 def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
