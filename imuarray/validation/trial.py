@@ -21,7 +21,7 @@ import h5py
 from imuarray import __version__
 from imuarray.gap.diagnose import REPLICATES, GapCase, Reference, compare, explain, library
 from imuarray.gap.findings import causes, deviations, diagnosis, verdict
-from imuarray.gap.inference import assessment, forward_selection, unit_state
+from imuarray.gap.inference import assessment, forward_selection, refinement, unit_state
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.model.populations import usual_model
 from imuarray.gap.model.workers import runner
@@ -149,7 +149,7 @@ def frozen_thresholds() -> dict[str, Any]:
     """
     return {
         "significance level of a gap": assessment.LEVEL,
-        "least gain (nats) of a candidate that is pursued": forward_selection.WORTH,
+        "least gain (nats) of a candidate that is pursued": refinement.WORTH,
         "least gain (nats) of a candidate that is accepted": forward_selection.ACCEPTED,
         "cost (nats) of each parameter": forward_selection.COST,
         "allowed relative error of the form of an effect": synthetic_likelihood.FORM,

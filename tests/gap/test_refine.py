@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.refinement import Factor, factors_of, looks, move_factors, refine, regress
+from imuarray.gap.inference.refinement import (
+    Factor,
+    FittedHypothesis,
+    factors_of,
+    has_hope,
+    looks,
+    move_factors,
+    refine,
+    regress,
+)
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import Models, ReplicateRequest
@@ -68,11 +77,8 @@ def test_trials_are_ranked_by_their_gain(tone: tuple[Bench, UnitState]) -> None:
     assert nothing.gain == pytest.approx(0.0, abs=0.2)  # noise and level are adapted by two draws
 
 
-def test_effects_on_the_response_have_more_looks(
-    tone: tuple[Bench, UnitState], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each replicate draws a response of its own, and two of them may agree by chance."""
-    bench, standing = tone
+def count_requests(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The number of replicates of each call, as they are simulated."""
     simulated: list[int] = []
     replicates = Bench.replicates
 
@@ -83,11 +89,60 @@ def test_effects_on_the_response_have_more_looks(
         return replicates(self, requests, held_out=held_out, **others)
 
     monkeypatch.setattr(Bench, "replicates", count)
+    return simulated
+
+
+def test_effects_on_the_response_have_more_looks(
+    tone: tuple[Bench, UnitState], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each replicate draws a response of its own, and two of them may agree by chance: four instead of two."""
+    bench, standing = tone
+    simulated = count_requests(monkeypatch)
     line, scale = Hypothesis((LINE,), ("amplitude",)), Hypothesis((Scale(0.05),), ("error",))
     found = looks(bench, standing, [line, scale, line])
-    assert sorted(simulated) == [2 * 2, 4]
+    assert simulated == [3 * 2, 2]
     assert [one.trial.name for one in found] == ["tone", "scale", "tone"]
     assert found[0].gain == found[2].gain > found[1].gain
+
+
+def test_a_response_without_hope_has_no_more_looks(
+    tone: tuple[Bench, UnitState], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line of 1 dps that the recording lacks loses far more than 10 nats in the first two replicates."""
+    bench, standing = tone
+    simulated = count_requests(monkeypatch)
+    (found,) = looks(bench, standing, [Hypothesis((Scale(0.05), Tone(1.0, 31.0)), ("error",))])
+    assert simulated == [2]
+    assert found.values is not None
+    assert len(found.values) == 2
+    assert found.gain < -10
+
+
+@pytest.mark.parametrize(
+    ("gain", "by_log", "hope"),
+    [
+        (-9.9, {0: -9.9}, True),
+        (-10.1, {0: -10.1}, False),
+        (-10.1, {0: -12.2, 1: 2.1}, True),  # an effect of the second log alone
+        (-10.1, {0: -11.0, 1: 0.9}, False),
+    ],
+)
+def test_a_trial_has_hope_if_it_loses_little_or_gains_in_a_log(
+    gain: float, by_log: dict[int, float], hope: bool
+) -> None:
+    assert has_hope(FittedHypothesis(Hypothesis((LINE,)), {}, gain, by_log=by_log)) == hope
+    assert not has_hope(FittedHypothesis(Hypothesis((LINE,)), None, 9.0))  # refused parameters
+
+
+def test_slopes_of_a_response_need_fewer_replicates_than_its_gain(
+    tone: tuple[Bench, UnitState], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four replicates of the trial, of its noise adapted and of each step; two of each slope."""
+    bench, standing = tone
+    simulated = count_requests(monkeypatch)
+    refine(bench, standing, Hypothesis((Scale(0.01),), ("error",)))
+    assert simulated[0] == 4
+    assert 2 in simulated
 
 
 @pytest.mark.slow

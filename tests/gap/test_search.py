@@ -21,7 +21,6 @@ from imuarray.gap.inference.evidence import Span, When
 from imuarray.gap.inference.forward_selection import (
     ACCEPTED,
     COST,
-    WORTH,
     Evaluation,
     Round,
     confirm,
@@ -33,7 +32,7 @@ from imuarray.gap.inference.forward_selection import (
     scores_by_wider,
     search_round,
 )
-from imuarray.gap.inference.refinement import FittedHypothesis, looks
+from imuarray.gap.inference.refinement import WORTH, FittedHypothesis, looks
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
@@ -253,6 +252,17 @@ def test_a_family_whose_causes_gain_too_little_needs_no_placebo() -> None:
         standing = replace(by_hand([0.0], drawn(1)), unit=unit)
         search_round({unit: standing}, {unit: trials}, {unit: placebo}, told)
         assert told.asked == [1, 1, 1, placebos, placebos]
+
+
+def test_a_cause_far_beyond_any_placebo_needs_none() -> None:
+    """From 30 nats beyond the required gain on; the gain of a placebo that was not simulated is 0."""
+    for gain, placebos in ((ACCEPTED + 29.9, 1), (ACCEPTED + 30.1, 0)):
+        told = CannedRun({"bias": 90.0, "tone": 0.0}, {"bias": (90.0, gain), "tone": (0.0, -1.0)})
+        trials, placebo = [Hypothesis((Bias(1.0),))], Hypothesis((LINE,))
+        (found,) = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: trials}, {UNIT: placebo}, told).values()
+        assert told.asked == [1, 1, 1, placebos, placebos]
+        assert found.selection is not None
+        assert found.placebo_gain == -placebos
 
 
 def test_a_cause_without_a_placebo_must_reach_the_required_gain() -> None:

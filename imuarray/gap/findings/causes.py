@@ -158,7 +158,7 @@ def _rank(causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 
 def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluation, ...]:
-    """Return all confirmed candidates, and the placebos."""
+    """Return all confirmed candidates, and the placebos with which they were compared."""
     evaluations = []
     for unit, unit_rounds in rounds.items():
         for round_ in unit_rounds:
@@ -168,7 +168,7 @@ def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[CandidateEvaluati
                 )
                 for trial in round_.confirmed
             ]
-        if unit_rounds[0].confirmed:
+        if unit_rounds[0].confirmed and unit_rounds[0].placebo_gain:
             evaluations.append(CandidateEvaluation("", "add", unit, math.nan, unit_rounds[0].placebo_gain, False))
     return tuple(evaluations)
 

@@ -22,6 +22,7 @@ from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import NUMBERS as EACH_NUMBER
 from imuarray.gap.inference.evidence import Evidence, When, in_logs, join_spans, since, views
 from imuarray.gap.inference.refinement import (
+    WORTH,
     FittedHypothesis,
     active_axes,
     distinct,
@@ -59,11 +60,11 @@ _CONFIRMED_TOGETHER = 2
 busy.
 """
 
-WORTH = 2.0
-"""Gain in nats on the training part from which on a trial is pursued."""
-
 ACCEPTED = 3.0
 """Gain in nats of a cause on the held-out part, beyond the placebo's, from which on it is accepted: odds of 20 to 1."""
+
+_BEYOND_PLACEBOS = 30.0
+"""Gain in nats, beyond `ACCEPTED`, that no placebo reaches: a cause that gains more needs no comparison with one."""
 
 COST = 1.0
 """Cost in nats of each free parameter: of two trials that explain the same, the simpler one is the cause (Akaike 1974).
@@ -148,7 +149,7 @@ class Evaluation:
 @dataclass(frozen=True)
 class Round:
     """The result of one round for a unit in the state `before`: all confirmed trials, the likeliest first, the
-    placebo's gain, and the selected trial (None: none).
+    placebo's gain (0 without a placebo), and the selected trial (None: none).
     """
 
     before: UnitState
@@ -225,10 +226,15 @@ def round_of_looks(
 
 
 def _needs_placebo(standing: UnitState, evaluations: Sequence[Evaluation]) -> bool:
-    """Return whether a placebo is reported, or may change the selection. It raises the gain that a cause needs, so it
-    is not needed for a family without a trial that gains enough.
+    """Return whether a placebo may change the selection, or what is reported of a sensor without a cause.
+
+    It raises the gain that a cause needs: it is not needed if no trial of a family gains enough, or if the selected
+    trial gains far more than any placebo.
     """
-    return len(standing.unit) == 1 or _round(standing, evaluations, False).selection is not None
+    selection = _round(standing, evaluations, False).selection
+    if selection is None:
+        return len(standing.unit) == 1
+    return _counted_gain(standing, selection) < ACCEPTED + _BEYOND_PLACEBOS
 
 
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ from imuarray.gap.inference.unit_state import (
     gains_of,
     update_likelihood,
 )
-from imuarray.gap.model.bench import Bench, StatisticValues
+from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import Models
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.gap.statistics.synthetic_likelihood import FREEDOM, SyntheticLikelihood
@@ -179,6 +178,12 @@ _OF_RESPONSE = frozenset({"scale", "misalignment", "g_sensitivity"})
 leaves differs from replicate to replicate, even if two agree by chance: `_MORE_LOOKS` replicates.
 """
 
+WORTH = 2.0
+"""Gain in nats on the training part from which on a trial is pursued."""
+
+_HOPELESS = 10.0
+"""Nats that a trial loses in its first replicates if no further ones are needed to see that it explains nothing."""
+
 _DONE, _CONVERGED = 0.03, 0.1
 """Step in the log of each factor, and change of the gain in nats by a step, below which no further step is made."""
 
@@ -202,18 +207,46 @@ class FittedHypothesis:
 
 
 def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> list[FittedHypothesis]:
-    """Return each trial with its gain as guessed, without its effect on the noise, which is not adapted yet."""
+    """Return each trial with its gain as guessed, without its effect on the noise, which is not adapted yet.
+
+    A trial that needs more than `LOOKS` replicates, but has no hope after these, is not simulated again.
+    """
     models = [standing.changed(trial) for trial in trials]
     fitted = [FittedHypothesis(trial) for trial in trials]
-    counts_of_trials = [_count_of(standing, trial) for trial in trials]
-    for whole, count in product((False, True), sorted(set(counts_of_trials))):
-        places = [at for at, trial in enumerate(trials) if trial.needs_both == whole and counts_of_trials[at] == count]
-        replicated = _replicate_each(bench, standing, [models[at] for at in places], whole, count)
-        for at, statistics in zip(places, replicated, strict=True):
-            if statistics is not None:
-                look = FittedHypothesis(trials[at], models[at], values=statistics.values)
-                fitted[at] = look_again(bench, standing, look)
+    for whole in (False, True):
+        places = [at for at, trial in enumerate(trials) if trial.needs_both == whole]
+        fitted = _look_again_at(bench, standing, models, fitted, places, NUMBERS[:LOOKS])
+        for count in sorted({_count_of(standing, trials[at]) for at in places} - {LOOKS}):
+            some = [at for at in places if _count_of(standing, trials[at]) == count and has_hope(fitted[at])]
+            fitted = _look_again_at(bench, standing, models, fitted, some, NUMBERS[LOOKS:count])
     return fitted
+
+
+def _look_again_at(
+    bench: Bench,
+    standing: UnitState,
+    models: Sequence[Models],
+    fitted: Sequence[FittedHypothesis],
+    places: Sequence[int],
+    numbers: Sequence[int],
+) -> list[FittedHypothesis]:
+    """Return the looks with further replicates of the models at these places, all for one part or for both. A look at
+    parameters that an effect refuses is not changed.
+    """
+    seen, several = list(fitted), [models[at] for at in places]
+    whole = any(fitted[at].trial.needs_both for at in places)
+    for at, item in zip(places, _simulate_each(bench, standing, several, whole, numbers), strict=True):
+        if item is not None:
+            before = fitted[at].values
+            values = item.values if before is None else np.vstack([before, item.values])
+            seen[at] = look_again(bench, standing, replace(fitted[at], models=models[at], values=values))
+    return seen
+
+
+def has_hope(look: FittedHypothesis) -> bool:
+    """Return whether more replicates may show that a trial gains, in all logs or in some of them."""
+    gain_of_logs = sum(max(gain, 0.0) for gain in look.by_log.values())
+    return look.models is not None and (look.gain > -_HOPELESS or gain_of_logs > WORTH)
 
 
 def _count_of(standing: UnitState, trial: Hypothesis) -> int:
@@ -328,32 +361,51 @@ def _replicate_each(
     bench: Bench, standing: UnitState, several: Sequence[Models], whole: bool, count: int
 ) -> list[_TrialStatistics | None]:
     """Return `_replicate` for several models of the same sensors, with `count` replicates of each."""
-    if not several:
-        return []
+    replicated = _simulate_each(bench, standing, several, whole, NUMBERS[:count])
+    return [
+        None if replicates is None else _statistics_of(bench, standing, models, replicates)
+        for models, replicates in zip(several, replicated, strict=True)
+    ]
+
+
+class _Replicates(NamedTuple):
+    """Replicates of models: the unit's statistics (r, n), and the parameters fitted to each replicate."""
+
+    values: Floats
+    fits: FitsOfReplicates
+
+
+def _simulate_each(
+    bench: Bench, standing: UnitState, several: Sequence[Models], whole: bool, numbers: Sequence[int]
+) -> list[_Replicates | None]:
+    """Return replicates with these numbers of several models of the same sensors; None for parameters that an effect
+    refuses. If only the training part is simulated, the statistics of the other part are those of the state.
+    """
+    if not several or not numbers:
+        return [None] * len(several)
     # replicates of one number follow each other, because they share draws, motions and neighbours
-    requests = [(models, number) for number in NUMBERS[:count] for models in several]
+    requests = [(models, number) for number in numbers for models in several]
     try:
-        values = bench.replicates(requests, held_out=whole, other_models=standing.other_models)
+        simulated = bench.replicates(requests, held_out=whole, other_models=standing.other_models)
     except ValueError:
         if len(several) == 1:
             return [None]
-        alone = [_replicate_each(bench, standing, [models], whole, count) for models in several]
-        return [statistics for replicated in alone for statistics in replicated]
-    parts = [values[first :: len(several)] for first in range(len(several))]
-    return [_replicated_from(bench, standing, models, part, whole) for models, part in zip(several, parts, strict=True)]
-
-
-def _replicated_from(
-    bench: Bench, standing: UnitState, models: Models, replicates: Sequence[StatisticValues], whole: bool
-) -> _TrialStatistics:
-    """Return the likelihood, shift and fits from replicates of models."""
+        return [_simulate_each(bench, standing, [models], whole, numbers)[0] for models in several]
     columns = bench.among(standing.unit, standing.unit)
-    values = np.array([replicate.values[columns] for replicate in replicates])
-    if not whole:
-        out = bench.held_out[bench.own(standing.unit)]
-        values[:, out] = standing.values[: len(values), out]
+    out = np.zeros(len(standing.real), bool) if whole else bench.held_out[bench.own(standing.unit)]
+    replicates: list[_Replicates | None] = []
+    for first in range(len(several)):
+        own = simulated[first :: len(several)]
+        values = np.array([replicate.values[columns] for replicate in own])
+        values[:, out] = standing.values[list(numbers)][:, out]
+        replicates.append(_Replicates(values, [replicate.fitted for replicate in own]))
+    return replicates
+
+
+def _statistics_of(bench: Bench, standing: UnitState, models: Models, replicates: _Replicates) -> _TrialStatistics:
+    """Return the likelihood, shift and fits from the first replicates of models."""
+    values, fits = replicates
     likelihood, shift = update_likelihood(standing, values)
-    fits = [replicate.fitted for replicate in replicates]
     settled, misfit = standing.settled(models, fits), standing.misfit_of(bench.base.headers, fits)
     return _TrialStatistics(values, likelihood, shift, fits, settled, misfit)
 
@@ -389,7 +441,7 @@ def _slopes(
         groups.setdefault((factor.effect, factor.name, factor.turn), []).append(at)
     nudged = _nudge(bench, standing, trial, factors, statistics, list(groups.values()))
     for members, (nudge, values) in zip(groups.values(), nudged, strict=True):
-        change = np.nan_to_num((values - statistics.values).mean(axis=0)) / nudge
+        change = np.nan_to_num((values - statistics.values[: len(values)]).mean(axis=0)) / nudge
         for at in members:
             axis = factors[at].axis
             is_of_axis = np.ones(len(columns), bool) if axis is None else of_axis == AXES[axis]
@@ -408,8 +460,10 @@ def _nudge(
     """Return, for each group of factors, the step in their logarithms and the statistics after it.
 
     The step is upwards, or downwards if an upward step cannot be simulated; if neither can, the statistics are the old
-    ones.
+    ones. A response whose parts are drawn needs more replicates for its effect, but not for a slope: a step changes
+    every replicate alike.
     """
+    count = LOOKS if trial.name in _OF_RESPONSE else len(statistics.values)
     outcomes = [(_NUDGE, statistics.values)] * len(groups)
     open_groups = list(range(len(groups)))
     for nudge in (_NUDGE, -_NUDGE):
@@ -421,7 +475,7 @@ def _nudge(
         replicated = dict(
             zip(
                 open_groups,
-                _replicate_each(bench, standing, several, trial.needs_both, len(statistics.values)),
+                _replicate_each(bench, standing, several, trial.needs_both, count),
                 strict=True,
             )
         )
