@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.refinement import (
     Factor,
     FittedHypothesis,
+    _step,
     factors_of,
     has_hope,
     looks,
@@ -29,6 +32,7 @@ from imuarray.simulate.effects.readings import ChannelSwap, Glitches, StaleSampl
 from imuarray.simulate.effects.response import GSensitivity, Scale
 from tests.gap.search_inputs import found_in, standing_of
 from tests.gap.small_bench import LINE
+from tests.gap.unit_states import standing as by_hand
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +147,17 @@ def test_slopes_of_a_response_need_fewer_replicates_than_its_gain(
     refine(bench, standing, Hypothesis((Scale(0.01),), ("error",)))
     assert simulated[0] == 4
     assert 2 in simulated
+
+
+@pytest.mark.parametrize(("deviation", "slope", "gain"), [(2.0, 1e3, 1.333333), (2.0, 0.0, 0.0), (0.0, 1e3, 0.0)])
+def test_a_step_has_an_expected_gain(deviation: float, slope: float, gain: float) -> None:
+    """A deviation of two standard deviations, which a small step removes: by Student's t with 5 degrees of freedom it
+    has the weight 6 / (5 + 4), so its square, 4, costs 6 / 9 * 4 / 2 nats.
+    """
+    standing = by_hand([deviation], np.zeros((8, 1)))
+    statistics = SimpleNamespace(likelihood=standing.likelihood)
+    _, expected = _step(standing, cast(Any, statistics), np.array([[slope]]))
+    assert expected == pytest.approx(gain, rel=1e-4)
 
 
 @pytest.mark.slow

@@ -185,7 +185,9 @@ _HOPELESS = 10.0
 """Nats that a trial loses in its first replicates if no further ones are needed to see that it explains nothing."""
 
 _DONE, _CONVERGED = 0.03, 0.1
-"""Step in the log of each factor, and change of the gain in nats by a step, below which no further step is made."""
+"""Step in the log of each factor, and change of the gain in nats by a step, expected or simulated, below which no
+further step is made.
+"""
 
 _ADAPTED, _FITS = 2, 0.5
 """Largest number of adaptations of the noise, and the misfit in nats above the present models' below which they end."""
@@ -281,7 +283,10 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
         factors = factors_of(now.hypothesis.trial)
         if not factors:
             break
-        steps = _step(standing, now.statistics, _slopes(bench, standing, now.hypothesis.trial, factors, now.statistics))
+        slopes = _slopes(bench, standing, now.hypothesis.trial, factors, now.statistics)
+        steps, expected_gain = _step(standing, now.statistics, slopes)
+        if expected_gain < _CONVERGED:
+            break
         stepped = move_factors(now.hypothesis.trial, factors, steps)
         changed = _with_fitted(standing.changed(stepped), now.statistics.settled)
         after = _simulate(bench, standing, stepped, changed, len(now.statistics.values))
@@ -487,8 +492,10 @@ def _nudge(
     return outcomes
 
 
-def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> Floats:
-    """Return the best changes (k,) of the logs of the factors."""
+def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> tuple[Floats, float]:
+    """Return the best changes (k,) of the logs of the factors, and the gain in nats that they have if the statistics
+    change by the slopes.
+    """
     likelihood = statistics.likelihood
     known = np.isfinite(likelihood.location) & np.isfinite(standing.real) & np.isfinite(likelihood.scale)
     deviation = np.where(known, standing.real - likelihood.location, 0.0)
@@ -496,7 +503,8 @@ def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> 
     scores = deviation / scale
     weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.weight
     design = slopes / scale[:, None]
-    return np.clip(regress(design, scores, weight), -_FURTHEST, _FURTHEST)
+    steps = np.clip(regress(design, scores, weight), -_FURTHEST, _FURTHEST)
+    return steps, float((weight * (scores**2 - (scores - design @ steps) ** 2)).sum()) / 2
 
 
 def regress(design: Floats, scores: Floats, weight: Floats) -> Floats:
