@@ -61,6 +61,11 @@ THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0
 L3G-71 print the same values. For a magnetometer at rest it is the change of its scale (0.3 % of half a gauss: HMC-57).
 """
 
+SCALE_SLOPE_SIGMA = 1e-4
+"""Standard deviation of the relative change of a scale per degC, for chips whose data sheet is not known (ADX-64,
+BMA-116).
+"""
+
 THERMAL_GROWTH_SIGMA = 0.0015
 """Standard deviation of the quadratic coefficient of a bias over temperature, as a share of its slope per degC. Data
 sheets print only a typical slope; over 20 degC that of a part changes by some percent, so its bias follows a curve.
@@ -222,6 +227,13 @@ def clock_tolerance(header: SensorHeader) -> float:
 def scale_tolerance(header: SensorHeader) -> float:
     """Return the relative scale error that the data sheet allows a part, or the usual one."""
     return _reach(header, "scale", "error", TOLERANCE_SIGMAS * SCALE_SIGMA)
+
+
+def scale_slope_tolerance(header: SensorHeader) -> float:
+    """Return the relative change of the scale per degC that the data sheet allows a part (ADX-64, BMA-116, L3G-72), or
+    the usual one.
+    """
+    return _reach(header, "thermal_scale", "slope_per_degc", TOLERANCE_SIGMAS * SCALE_SLOPE_SIGMA)
 
 
 def slope_tolerance(header: SensorHeader) -> tuple[float, float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.bias import is_with_heat
@@ -97,6 +98,10 @@ def test_a_thermal_scale_is_suggested_from_warm_faces() -> None:
     (effect,) = trial.effects
     assert isinstance(effect, ThermalScale)
     assert effect.slope == pytest.approx((2e-3, 2e-3, 2e-3), rel=0.2)
+    of_scale, of_slope = (
+        stats.cauchy.logpdf(0.04, scale=limit) for limit in (0.02, 20 * 1e-4)
+    )  # the tolerances of a BMA180
+    assert trial.rarity == pytest.approx(3 * (of_scale - of_slope), abs=0.3)  # 6.2
 
 
 @pytest.mark.xfail(reason="the scores of a dozen replicates suggest a lag of a millisecond in some draws", strict=False)

@@ -36,8 +36,8 @@ class Hypothesis:
       none).
     * `free`: the parameters that the search may refine, each axis by a positive factor; a guess of 0 and its sign stay.
     * `limits`: smallest and largest value of a parameter; beyond them another effect looks the same.
-    * `fitted`: the ordinary parameters to begin with, if the effect misleads the fit (None: those of the fit).
     * `fitted`: the ordinary parameters at the start, if the effect disturbs the fit (None: the fitted ones).
+
     In which sensors:
 
     * `shared`: the effect shows only in comparison with other sensors. All sensors of the chip have it, or only

@@ -14,7 +14,9 @@ from imuarray.gap.inference.effects.candidate import Hypothesis, with_removal
 from imuarray.gap.inference.effects.levels import Levels, centre, levels
 from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.model.populations import scale_slope_tolerance, scale_tolerance
 from imuarray.gap.model.rest import REFERENCE_DEGC
+from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag, ThermalScale
 
 _TRACES = (
@@ -270,24 +272,35 @@ def guess_thermal_scale(evidence: Evidence) -> Iterator[Hypothesis]:
     slope = [_scale_slope(table, axis) for axis in range(3)]
     if any(slope):
         yield Hypothesis((ThermalScale((slope[0], slope[1], slope[2])),), ("slope",))
-    x, y, z = _by_scale(evidence, table).tolist()
-    if any((x, y, z)):
-        yield Hypothesis((ThermalScale((x, y, z)),), ("slope",))
+    error, warm_degc = _scale_error(evidence, table)
+    if error.any():
+        rarity = _rarity_of_slope(evidence.header, error, warm_degc)
+        yield Hypothesis((ThermalScale(triple(error / warm_degc)),), ("slope",), rarity=rarity)
 
 
-def _by_scale(evidence: Evidence, table: Levels) -> Floats:
-    """Return (3,) the error of the scale divided by the warming of the faces above the reference temperature; 0 if it
-    is not determined.
+def _rarity_of_slope(header: SensorHeader, error: Floats, warm_degc: float) -> float:
+    """Return the nats by which a slope of the scale that amounts to this error (3,) at a temperature is rarer than an
+    error of the scale itself. Both have Cauchy distributions, as wide as what the data sheet allows a part.
+    """
+    shown = np.abs(error[error != 0])
+    widths = np.array([abs(warm_degc) * scale_slope_tolerance(header), scale_tolerance(header)])[:, None]
+    by_slope, by_scale = (np.log1p((shown / widths) ** 2) + np.log(widths)).sum(axis=1).tolist()
+    return float(by_slope - by_scale)
+
+
+def _scale_error(evidence: Evidence, table: Levels) -> tuple[Floats, float]:
+    """Return the error (3,) of the scale on faces, 0 if it is not determined, and how many degC the faces were above
+    the reference temperature.
     """
     measured_response, known = response(evidence), np.isfinite(table.applied_g).all(axis=1)
     if measured_response is None or not known.any():
-        return np.zeros(3)
+        return np.zeros(3), 0.0
     faces, of_face = np.unique(table.applied_g[known], axis=0, return_inverse=True)
     warm = float(np.mean([_warmth(table)[known][of_face.ravel() == at].mean() for at in range(len(faces))]))
     score = size_of_score(evidence, "force_own")
     if abs(warm) < _LEAST_DEGC or not (score > ODD).any():
-        return np.zeros(3)
-    return np.asarray(np.where(score > DOUBTFUL, np.diag(measured_response.error) / warm, 0.0))
+        return np.zeros(3), warm
+    return np.where(score > DOUBTFUL, np.diag(measured_response.error), 0.0), warm
 
 
 def _scale_slope(table: Levels, axis: int) -> float:
