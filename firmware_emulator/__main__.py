@@ -28,19 +28,33 @@ PROGRAM = "firmware_emulator"
 
 @click.command(PROGRAM, context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("config", type=click.Path(path_type=Path))
-@click.option("--usbip", is_flag=True, help="as a USB/IP device that Linux's module i2c-tiny-usb drives")
-@click.option("--serial", is_flag=True, help="on a microcontroller that sends what it reads over a serial port")
-@click.option("--host", default=DEFAULT_HOST, show_default=True, help="address to listen on; there is no password")
-@click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0: any free one")
-@click.option("--query", default="", metavar="TEXT", help="as after emulated:? in a bus URL: world=tumble&face_s=10")
+@click.option("--usbip", is_flag=True, help="serve a USB/IP device that Linux's module i2c-tiny-usb drives")
+@click.option("--serial", is_flag=True, help="serve a microcontroller that reads the array, on a serial port")
+@click.option("--host", default=DEFAULT_HOST, show_default=True, help="for --usbip: the address, without a password")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=DEFAULT_PORT,
+    show_default=True,
+    help="for --usbip; 0: any free port",
+)
+@click.option(
+    "--query",
+    default="",
+    metavar="TEXT",
+    help="parameters of the emulated array, as after emulated:? in a bus URL: world=tumble&face_s=10",
+)
 def program(config: Path, usbip: bool, serial: bool, host: str, port: int, query: str) -> None:
-    """Serve the emulated array of CONFIG outside this process, in real time.
+    """Serve the emulated array of CONFIG to other programs, in real time, with --usbip or --serial.
 
-    After --usbip, as root: modprobe -a vhci-hcd i2c-tiny-usb i2c-dev; usbip attach -r 127.0.0.1 -b 1-1. After
-    --serial: imuarray log CONFIG --bus serial:PORT -o RUN.h5, with the port that is printed.
+    To use it after --usbip, run as root: modprobe -a vhci-hcd i2c-tiny-usb i2c-dev; usbip attach -r 127.0.0.1 -b 1-1.
+    To use it after --serial, run imuarray log CONFIG --bus serial:PORT -o RUN.h5 with the port that is printed.
+
+    \b
+    python -m firmware_emulator configs/martin2013.toml --serial
     """
     if usbip == serial:
-        raise click.UsageError("say how to serve it; allowed is --usbip or --serial")
+        raise click.UsageError("give either --usbip or --serial")
     array = load_array(find_config(config))
     bus = real_time_bus(query, array)
     if serial:

@@ -259,7 +259,7 @@ def asked(
     """Return the options of each mechanism; ValueError if one is not given once for each of them or not at all."""
     severities, sensors = severities or (1.0,) * len(names), sensors or ("",) * len(names)
     if not len(names) == len(severities) == len(sensors):
-        raise ValueError("--severity and --sensor: as often as --mechanism, or not at all")
+        raise ValueError("give --severity and --sensor as often as --mechanism, or not at all")
     return [
         (name, severity, tuple(split(group, ",")))
         for name, severity, group in zip(names, severities, sensors, strict=True)
@@ -290,19 +290,41 @@ def _describe(context: click.Context, _: click.Parameter, is_asked: bool) -> Non
 
 @click.command(PROGRAM, context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("config", type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="folder of the logs")
-@click.option("--truth", required=True, type=click.Path(path_type=Path), help="the sealed file, in another folder")
-@click.option("--mechanism", multiple=True, type=click.Choice(list(MECHANISMS)), help="none: nothing is wrong")
-@click.option("--severity", multiple=True, type=float, help="in units of its reference size  [default: 1]")
-@click.option("--sensor", multiple=True, metavar="NAME,...", help="where  [default: wherever it can be]")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="of units, noise and chance")
-@click.option("--experiments", default=",".join(EXPERIMENTS), show_default=True, help="which, in this order")
-@click.option("--rate-hz", type=float, default=RATE_HZ, show_default=True, help="frames a second")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="folder for the logs")
+@click.option(
+    "--truth", required=True, type=click.Path(path_type=Path), help="file for the truth of the case, in another folder"
+)
+@click.option(
+    "--mechanism",
+    multiple=True,
+    type=click.Choice(list(MECHANISMS)),
+    metavar="NAME",
+    help="a physical mechanism (--mechanisms lists them); may be repeated; without it, nothing is wrong",
+)
+@click.option(
+    "--severity", multiple=True, type=float, help="size of each mechanism, in its reference sizes  [default: 1]"
+)
+@click.option(
+    "--sensor",
+    multiple=True,
+    metavar="NAME,...",
+    help="the sensors on which each mechanism acts  [default: all that it can act on]",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="seed of all random draws")
+@click.option(
+    "--experiments", default=",".join(EXPERIMENTS), show_default=True, help="the experiments, in the order of recording"
+)
+@click.option("--rate-hz", type=float, default=RATE_HZ, show_default=True, help="frames per second")
 @click.option("--only", metavar="NAME,...", help="read only these sensors")
 @click.option("--reference/--no-reference", default=True, help="whether the logs contain the commanded motion")
-@click.option("--force", is_flag=True, help="overwrite")
+@click.option("--force", is_flag=True, help="overwrite existing files")
 @click.option(
-    "--mechanisms", is_flag=True, is_eager=True, expose_value=False, callback=_describe, help="list them as JSON"
+    "--mechanisms",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_describe,
+    help="list all mechanisms as JSON, and exit",
 )
 def program(  # noqa: PLR0913
     config: Path,
@@ -318,9 +340,12 @@ def program(  # noqa: PLR0913
     reference: bool,
     force: bool,
 ) -> None:
-    """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it.
+    """Write the logs of one case of the emulated array of CONFIG, and what is wrong with it to a separate file.
 
-    A CONFIG that ends in .json is a whole world: array, sessions, room and recorder.
+    A CONFIG that ends in .json describes a whole world: array, sessions, room and recorder.
+
+    \b
+    python -m firmware_emulator.cases martin2013 -o case --truth sealed.json --mechanism mains_ripple --sensor Gyro2
     """
     try:
         mechanisms = asked(mechanism, severity, sensor)

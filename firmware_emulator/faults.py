@@ -87,7 +87,7 @@ def read_faults(path: str, array: ArrayLike) -> tuple[Fault, ...]:
     except OSError as error:
         raise ValueError(f"faults={path}: {error.strerror or error}") from None
     except ValueError as error:
-        raise ValueError(f"faults={path}: no TOML: {error}") from None
+        raise ValueError(f"faults={path}: not TOML: {error}") from None
     return faults_from(tables, array, text, path)
 
 
@@ -148,7 +148,7 @@ def _fault(table: Mapping[str, Any], array: ArrayLike) -> Fault:
 def _sensor(kind: str, name: Any, array: ArrayLike) -> str:
     if kind in BUS_FAULTS:
         if name:
-            raise ValueError(f"sensor: {kind} is of all of them")
+            raise ValueError(f"sensor: {kind} concerns the whole array; leave it out")
         return ""
     chips = {sensor.name: sensor.chip for sensor in array.sensors}
     able = TEARS if kind == "torn" else LAYOUTS if kind in TRIADS else set(chips.values())
@@ -161,7 +161,7 @@ def _sensor(kind: str, name: Any, array: ArrayLike) -> str:
 def _seconds(table: Mapping[str, Any], key: str, default: float | None) -> float:
     value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= FOR_GOOD_S:
-        raise ValueError(f"{key} = {value!r}; required are seconds")
+        raise ValueError(f"{key} = {value!r}; a number of seconds is required")
     return float(value)
 
 
@@ -181,5 +181,5 @@ def _switch(table: Mapping[str, Any], key: str) -> bool:
 
 def _triple(value: Any) -> tuple[float, float, float]:
     if not (isinstance(value, list) and len(value) == 3 and all(isinstance(number, int | float) for number in value)):
-        raise ValueError(f"bias = {value!r}; required are three numbers")
+        raise ValueError(f"bias = {value!r}; three numbers are required")
     return float(value[0]), float(value[1]), float(value[2])

@@ -198,7 +198,7 @@ def check_owners(machine: Machine, array: ArrayConfig, device: str, is_root: boo
                 unbind += f"; or leave out mux and give each sensor its bus: {channels}"
             yield Check("kernel driver", False, f"{device} {address:#04x} ({name}) belongs to {driver}", unbind)
     if not any(machine.path(f"{DEVICES}/{number}-{address:04x}/driver").is_symlink() for address in names):
-        yield Check("kernel driver", True, f"{device}: none has one of our addresses")
+        yield Check("kernel driver", True, f"{device}: none owns an address of this array")
 
 
 def list_kernel_drivers(machine: Machine, device: str) -> Iterator[Check]:
@@ -210,7 +210,7 @@ def list_kernel_drivers(machine: Machine, device: str) -> Iterator[Check]:
         address = int(path.name.partition("-")[2], 16)
         yield Check("kernel driver", True, f"{device} {address:#04x} belongs to {owner}: no sensor there can be read")
     if not places:
-        yield Check("kernel driver", True, f"{device}: none has an address")
+        yield Check("kernel driver", True, f"{device}: none owns an address")
 
 
 def _is_on(sensor: SensorConfig, device: str, is_root: bool) -> bool:

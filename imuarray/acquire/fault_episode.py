@@ -31,7 +31,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "lost": "readings lost",
         "stale": "readings",
         "late": "frames missed",
-        "channel": "visits",
+        "channel": "times",
         "link": "attempts",
         "refused": "refused",
     }

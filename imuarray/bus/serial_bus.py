@@ -141,7 +141,7 @@ class SerialBus:
 
     def channel_bus(self, path: str) -> Bus:
         """Raise OSError, as for a missing device file."""
-        raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
+        raise FileNotFoundError(errno.ENOENT, "a microcontroller does not read buses of the kernel", path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
         """Return the chip select N of the microcontroller, for /dev/spidev0.N; OSError if it is missing or refuses."""

@@ -53,9 +53,9 @@ at any rate.
 """
 
 OUT_OF_ORDER = "old, repeated or out of order"
-ANOTHER_TIME = "not sent since the microcontroller was last connected"
-MEANINGLESS = "of no kind and no list that was asked for"
-UNASKED = "an answer to no question"
+ANOTHER_TIME = "from before the microcontroller was last connected"
+MEANINGLESS = "of an unknown kind or list"
+UNASKED = "an unrequested answer"
 
 
 class FrameSelection(NamedTuple):

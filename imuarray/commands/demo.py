@@ -26,7 +26,7 @@ PAPERS_ARRAY = "martin2013"
 @click.option(
     "--seconds",
     default=1600.0,
-    show_default=True,
+    show_default="1600s",
     type=Duration(minimum_s=300),
     metavar="30min",
     help="total duration of the recordings, in array time; at least 5min",

@@ -150,7 +150,7 @@ def _severity(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise click.BadParameter(f"{text!r} is no number", param_hint="--severities") from None
+        raise click.BadParameter(f"{text!r} is not a number", param_hint="--severities") from None
 
 
 def _plan_of(options: ValidateOptions) -> dict[str, Any]:

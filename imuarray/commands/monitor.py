@@ -82,14 +82,16 @@ class MonitorOptions:
         "--every",
         type=Duration(minimum_s=0.2, maximum_s=3600),
         default=1.0,
-        show_default=True,
+        show_default="1s",
         metavar="1s",
         help="time between updates, 0.2s to 1h; the logger writes once a second",
     )
     calibration: Path | None = option(
         metavar="CAL.toml", help="calibration for the fused output (default: data-sheet values)"
     )
-    port: int = option(type=click.IntRange(0, 65535), default=8765, show_default=True, help="port; 0 for any free one")
+    port: int = option(
+        type=click.IntRange(0, 65535), default=8765, show_default=True, help="the port; 0 for any free one"
+    )
     host: str = option(
         default="127.0.0.1",
         show_default=True,

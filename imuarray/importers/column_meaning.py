@@ -81,7 +81,7 @@ def words_of_kind(kind: str, column: str) -> str:
     return _ANDROID_TYPES.get(kind, kind) if "type" in column.lower() else kind
 
 
-QUATERNION = "an attitude that a program computed, as a unit quaternion, and no measurement"
+QUATERNION = "an attitude that a program computed (a unit quaternion), not a measurement"
 
 MOST_INSTANCES = 16
 _ALTERNATES = 0.3

@@ -144,7 +144,7 @@ def _try_restarts(proposal: Proposal, path: Path) -> _Trial | None:
         proposal.time.remove(line)
         return None
     proposal.doubts.append(
-        "the times fall: a clock that was set back, or a recorder that started again. If the file holds several"
+        "the times go back: the clock was set back, or the recorder restarted. If the file holds several"
         " recordings, import them one by one"
     )
     return trial
@@ -207,7 +207,7 @@ def _leave_out_computed(proposal: Proposal) -> None:
     """
     known = [item for item in proposal.items if TRUTH.search(_label(item))]
     if len(known) < len(proposal.items):
-        _leave_out(proposal, known, "a truth or a reference, according to their names, and no sensors of the array")
+        _leave_out(proposal, known, "a truth or a reference, according to their names, not sensors of the array")
     triads = [item for item in proposal.items if item[0] == "[[sensor]]"]
     forces = [item for item in triads if item.text("quantity") == "specific_force"]
     computed = [item for item in forces if COMPUTED.search(_label(item))]
@@ -248,7 +248,7 @@ def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
     return _leave_out(
         proposal,
         subtracted,
-        "a linear acceleration, from which a program subtracted gravity, and no measurement; it stands below as a"
+        "a linear acceleration: a program subtracted gravity, so it is not a measurement; the map contains it as a"
         f" comment{', with the attitude that adds gravity again' if proposal.attitudes else ''}",
     )
 

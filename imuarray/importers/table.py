@@ -370,7 +370,7 @@ class _Rounding:
             change = float(noise[vanishing].min())
             return (
                 f"{name} {axes}: its values change by {change:.2g} counts only and are rounded away:"
-                f" {sensitivity:.6g} counts per {unit} are too few, or the unit is another"
+                f" {sensitivity:.6g} counts per {unit} are too few, or the unit is wrong"
             )
         if (off > 0.1).any() and not self.is_learnt:
             return f"{name}: its values are not whole counts at {sensitivity:.6g} per {unit}; they were rounded"
@@ -564,8 +564,8 @@ class _Stream:
             back = ", ".join(f"{ns * 1e-9:.6g} s" for ns in self._clock.set_back_ns[:3])
             more = ", ..." if len(self._clock.set_back_ns) > 3 else ""
             yield (
-                f"the times fell {counted(len(self._clock.set_back_ns), 'time')}, by {back}{more}; rows after that go"
-                " on at the usual interval, as what passed meanwhile is not known"
+                f"the times went back {counted(len(self._clock.set_back_ns), 'time')}, by {back}{more}; the rows after"
+                " that continue at the usual interval, because the time in between is unknown"
             )
         if self._clock.wrapped:
             yield f"the time column wrapped {counted(self._clock.wrapped, 'time')}"

@@ -96,7 +96,7 @@ def _flags(named: Iterable[tuple[str, SensorView]], columns: int) -> list[str]:
         for name, view in named
         if view.flags
     ]
-    return _wrap("flagged lately: " + "; ".join(flagged), columns) if flagged else []
+    return _wrap("flagged recently: " + "; ".join(flagged), columns) if flagged else []
 
 
 def _fused_lines(snapshot: Snapshot, columns: int) -> list[str]:

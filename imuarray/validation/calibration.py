@@ -179,7 +179,11 @@ def probabilities_of(claims: Sequence[CauseClaim], rates: Rates) -> Floats:
 @click.command()
 @click.argument("runs", type=click.Path(exists=True, file_okay=False, path_type=Path), nargs=-1, required=True)
 def program(runs: tuple[Path, ...]) -> None:
-    """Measure how often reported causes are right."""
+    """Measure how often the causes reported in RUNS, folders of validation runs, are right for each stated probability.
+
+    Prints the share of right causes, the rates behind the probabilities as they are and as they fit these runs best,
+    and which effects were confused.
+    """
     answers = [answer for run in runs for answer in read_run(run).answers]
     claims = claims_in(answers)
     sole = [claim for claim in claims if claim.share >= _SOLE]

@@ -273,11 +273,16 @@ def _find_size(
 
 @click.command()
 @click.argument("logs", type=click.Path(exists=True, dir_okay=False, path_type=Path), nargs=-1, required=True)
-@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--seed", type=int, default=0, show_default=True, help="of sensors, axes and chance")
-@click.option("--limits", type=float, default=LIMITS, show_default=True, help="size in detection limits")
+@click.option(
+    "-o", "--output", type=click.Path(file_okay=False, path_type=Path), required=True, help="folder for the cases"
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="seed of the sensors, axes and random numbers")
+@click.option("--limits", type=float, default=LIMITS, show_default=True, help="size of effects in detection limits")
 def program(logs: tuple[Path, ...], output: Path, seed: int, limits: float) -> None:
-    """Write the cases of each log; every log is a separate recording."""
+    """Write cases for `imuarray gap validate --cases`: effects of known size injected into recorded LOGS.
+
+    Every log is a separate recording; the log without an effect is its control.
+    """
     for number, path in enumerate(logs):
         for name in write_cases([path], output, 1000 * seed + number, limits=limits):
             click.echo(output / name)

@@ -281,7 +281,7 @@ def test_without_a_configuration_owners_and_limits_are_listed_and_not_judged(mac
     assert only_failure(examine(None, URL, logs, 50, machine=nearly_full))[:2] == ("disk", "60 MiB free")
     shutil.rmtree(machine.root / "sys/bus/i2c/devices/1-0068")
     results = {check.name: check.found for check in examine(None, URL, logs, 50, machine=machine)}
-    assert results["kernel driver"] == "/dev/i2c-1: none has an address"
+    assert results["kernel driver"] == "/dev/i2c-1: none owns an address"
 
 
 def test_the_command_needs_a_bus_where_there_is_no_configuration(

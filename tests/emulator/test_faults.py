@@ -284,17 +284,17 @@ def test_faults_and_mechanisms_act_together(array: ArrayConfig, tmp_path: Path) 
         ({"kind": "earthquake"}, "kind 'earthquake'; allowed are no_acknowledge, unplugged, "),
         ({"kind": "stale", "sensor": "Z", "for_s": 1}, "sensor 'Z' for stale; allowed are A, B, C, G"),
         ({"kind": "torn", "sensor": "A"}, "sensor 'A' for torn; allowed are B, C, G"),
-        ({"kind": "stuck_bus", "sensor": "A", "for_s": 1}, "sensor: stuck_bus is of all of them"),
+        ({"kind": "stuck_bus", "sensor": "A", "for_s": 1}, "sensor: stuck_bus concerns the whole array"),
         ({"kind": "reset", "sensor": "A", "wen": 1}, "wen: no such key of reset; allowed are kind, sensor, at_s, "),
         ({"kind": "reset", "sensor": "A", "bias": [1, 2, 3]}, "bias: no such key of reset"),
-        ({"kind": "stuck_bus"}, "for_s = None; required are seconds"),
-        ({"kind": "stuck_bus", "for_s": -1}, "for_s = -1; required are seconds"),
-        ({"kind": "stuck_bus", "for_s": True}, "for_s = True; required are seconds"),
-        ({"kind": "stuck_bus", "for_s": float("nan")}, "for_s = nan; required are seconds"),
-        ({"kind": "stuck_bus", "for_s": float("inf")}, "for_s = inf; required are seconds"),
+        ({"kind": "stuck_bus"}, "for_s = None; a number of seconds is required"),
+        ({"kind": "stuck_bus", "for_s": -1}, "for_s = -1; a number of seconds is required"),
+        ({"kind": "stuck_bus", "for_s": True}, "for_s = True; a number of seconds is required"),
+        ({"kind": "stuck_bus", "for_s": float("nan")}, "for_s = nan; a number of seconds is required"),
+        ({"kind": "stuck_bus", "for_s": float("inf")}, "for_s = inf; a number of seconds is required"),
         ({"kind": "wrong_channel", "for_s": 1, "channel": 4}, "channel = 4; allowed is a whole number up to 3"),
         ({"kind": "wrong_channel", "for_s": 1, "reads_right": 1}, "reads_right = 1; allowed are true and false"),
-        ({"kind": "start_up", "sensor": "G", "bias": [1, 2]}, "required are three numbers"),
+        ({"kind": "start_up", "sensor": "G", "bias": [1, 2]}, "three numbers are required"),
     ],
 )
 def test_invalid_faults_are_refused(array: ArrayConfig, table: dict[str, Any], message: str) -> None:
@@ -307,9 +307,9 @@ def test_an_error_names_its_line(array: ArrayConfig, tmp_path: Path) -> None:
     path = tmp_path / "n.toml"
     good = '[[fault]]\nkind = "stuck_bus"\nfor_s = 1\n'
     for wrong, message in (
-        ('# two\n[[fault]]\nkind = "stuck_bus"\n# a comment\nfor_s = -1\n', ":8: fault 2: for_s = -1; required"),
+        ('# two\n[[fault]]\nkind = "stuck_bus"\n# a comment\nfor_s = -1\n', ":8: fault 2: for_s = -1; a number"),
         ("[[ fault ]]\nkind = 'reset'\nsensor = 'A'\nwen = 1\n", ":7: fault 2: wen: no such key of reset"),
-        ("[[fault]]\nkind = 'stuck_bus'\n", ":4: fault 2: for_s = None; required are seconds"),
+        ("[[fault]]\nkind = 'stuck_bus'\n", ":4: fault 2: for_s = None; a number of seconds is required"),
     ):
         path.write_text(good + wrong)
         with pytest.raises(ValueError, match=r"fault 2") as refusal:
@@ -318,7 +318,7 @@ def test_an_error_names_its_line(array: ArrayConfig, tmp_path: Path) -> None:
 
 
 def test_invalid_files_are_refused(array: ArrayConfig, tmp_path: Path) -> None:
-    for text, message in (("[[fault]", "no TOML"), ("[fault]\nkind=1", "tables"), ("other = 1", "tables")):
+    for text, message in (("[[fault]", "not TOML"), ("[fault]\nkind=1", "tables"), ("other = 1", "tables")):
         (tmp_path / "n.toml").write_text(text)
         with pytest.raises(ValueError, match=message):
             open_bus({"faults": str(tmp_path / "n.toml")}, array)

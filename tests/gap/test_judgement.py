@@ -177,22 +177,22 @@ def test_a_small_remainder_is_partly_explained() -> None:
 @pytest.mark.parametrize(
     ("closed", "chances", "unknown", "left", "reason"),
     [
-        (0.95, [0.9], 0.1, "", "the causes close the gap, up to what an inexact form of them leaves"),
+        (0.95, [0.9], 0.1, "", "the causes close the gap, except what their approximate models leave"),
         (0.94, [0.9], 0.1, "", "only 94 % of the gap closes (explained from 95 % on)"),
         (0.29, [0.9], 0.1, "", "only 29 % of the gap closes (explained from 95 % on)"),
         (0.9499, [0.9], 0.1, "", "only 94 % of the gap closes (explained from 95 % on)"),
         (-0.2, [0.9], 0.1, "", "nothing of the gap closes (explained from 95 % on)"),
-        (0.95, [0.49], 0.1, "", "which of several causes it is remains open: none is more probable than not"),
+        (0.95, [0.49], 0.1, "", "the cause remains open: none has a probability of one half or more"),
         (0.99, [0.9], 0.1, "G1", "G1 still differs far beyond chance"),
-        (0.95, [0.9], 0.5, "", "something outside the library is at least as probable as not"),
+        (0.95, [0.9], 0.5, "", "something outside the library has a probability of at least one half"),
         (None, [0.9], 0.1, "", "how much of the gap closes cannot be measured"),
         (
             0.4,
             [0.1],
             0.9,
             "",
-            "only 40 % of the gap closes (explained from 95 % on); which of several causes it is remains"
-            " open: none is more probable than not",
+            "only 40 % of the gap closes (explained from 95 % on); the cause remains open: none has a"
+            " probability of one half or more",
         ),
         (None, [], 0.1, "", "no known effect was accepted as a cause"),
     ],
@@ -205,7 +205,7 @@ def test_a_verdict_has_its_reason(
 
 def test_a_small_remainder_is_a_reason() -> None:
     found = judge(gap(0.99), [CAUSE], 0.1, is_gap=True, has_remainder=True)
-    assert found.reason == "what is left still matters"
+    assert found.reason == "the remaining differences still matter"
 
 
 def test_p_by_fitted_tails() -> None:

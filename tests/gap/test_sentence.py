@@ -147,7 +147,8 @@ def test_an_unknown_effect_is_described_by_its_places() -> None:
     )
     nearest = written("unexplained", GAP, [cause(probability=0.4)], [where()], left[1:], [])
     assert (
-        "No known effect makes these recordings likely; of other differences than those of G2 z one may be" in nearest
+        "No known effect makes these recordings likely; a possible cause of differences elsewhere than in G2 z is"
+        in nearest
     )
     nearest = written("unexplained", GAP, [cause(probability=0.4)], [where()], left[2:], [])
     assert "No known effect makes these recordings likely; the nearest is G1 (y): tone (a sine" in nearest

@@ -107,7 +107,7 @@ def test_a_displacement_is_relative_to_the_configured_position() -> None:
 
 def test_closure_of_a_later_cause_is_relative_to_the_remainder() -> None:
     text = said(replace(partial_diagnosis(), causes=(*CAUSES, replace(SIZE_EFFECT, preceding=1))))
-    assert "would close 30 % (below 0 to 60) of what the causes before it leave of the gap of ADXL1" in text
+    assert "would close 30 % (below 0 to 60) of what the previous causes leave of the gap of ADXL1" in text
 
 
 def test_an_alternative_is_marked_as_not_in_the_simulator() -> None:
@@ -161,7 +161,7 @@ def test_the_check_reports_the_remainder() -> None:
     assert "Gyro2, drift over the heat pulse: recorded 0.42 dps, simulated 0.05 dps before and 0.4 dps after" in text
     assert "Still different: 2 statistics ADXL1 z, share of odd codes in face_5" in text
     explained = said(replace(partial_diagnosis(), verdict="explained"))
-    assert "Still different, by no more than an inexact form of the causes makes: 2 statistics" in explained
+    assert "Still different, as far as the approximate models of the causes allow: 2 statistics" in explained
 
 
 def test_only_parts_out_of_specification_are_listed_worst_first() -> None:

@@ -200,8 +200,8 @@ def test_the_file_name_gives_the_sensor(tmp_path: Path) -> None:
 def test_consecutive_recordings_in_a_file_are_imported(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS, walk().time_s % 7, "{:d}"))
     text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
-    assert "# ~ the times fell 2 times, by 6.99 s, 6.99 s; rows after that go on at the usual interval" in text
-    assert "# ? the times fall:" in text and "If the file holds several recordings, import them one by one" in text
+    assert "# ~ the times went back 2 times, by 6.99 s, 6.99 s; the rows after that continue at the usual" in text
+    assert "# ? the times go back:" in text and "If the file holds several recordings, import them one by one" in text
     assert "restarts = true # ?" in text and "sort = true #" not in text
 
 

@@ -185,7 +185,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         units_taken_for_others(),
         si_units().replace('"rad/s"', '"dps"\nrange = 2000\nsensitivity = 16.4\nvalues = "physical"'),
         0,
-        ["Gyro xyz: its values change by", "are rounded away: 16.4 counts per dps are too few, or the unit is another"],
+        ["Gyro xyz: its values change by", "are rounded away: 16.4 counts per dps are too few, or the unit is wrong"],
     ),
     "m/s2 and rad/s, said so": (
         units_taken_for_others(),

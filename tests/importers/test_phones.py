@@ -116,7 +116,7 @@ def test_only_measurements_are_proposed(write: Callable[[Path], Path], attitude:
     source = write(tmp_path)
     text = guess_map(source)
     assert attitude in plain(text)
-    assert "a linear acceleration, from which a program subtracted gravity, and no measurement" in plain(text)
+    assert "a linear acceleration: a program subtracted gravity, so it is not a measurement" in plain(text)
     assert '# quantity = "specific_force"' in text
     with imported(tmp_path, source, text) as log:
         (gyro,) = log.sensors.values()

@@ -83,7 +83,7 @@ def test_the_guess_sorts_late_rows_but_not_a_clock_step(tmp_path: Path) -> None:
     set_back[700:] -= 2.004
     (tmp_path / "data.csv").write_bytes(table(set_back, np.arange(1000)))
     text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
-    assert "# ~ the times fell 1 time, by 1.994 s" in text
+    assert "# ~ the times went back 1 time, by 1.994 s" in text
     assert "restarts = true # ?" in text and "sort = true #" not in text
 
 

@@ -51,7 +51,7 @@ def test_an_unknown_executor_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
         (["--effects", "tine"], "allowed are axis_error, bandwidth,"),
         (["--effects", ","], "names are required, with commas between them"),
         (["--severities", "3"], "severity 3 detection limits; allowed are 0.5, 1, 2, 5, 20"),
-        (["--severities", "x"], "Invalid value for --severities: 'x' is no number"),
+        (["--severities", "x"], "Invalid value for --severities: 'x' is not a number"),
         (["--repeats", "900", "--size", "full"], "cases are planned; allowed are at most 10000"),
         (["--score-only"], "--score-only requires the folder of a run: -o DIR"),
     ],

@@ -86,7 +86,7 @@ def _about(bench: Bench, models: Models, model: Model | None, logs: Sequence[str
         f"{name} {words}" for name, sensor_model in models.items() if (words := ", ".join(_changes(sensor_model)))
     ]
     before = f"model {model.name}" if model else "the data sheets"
-    changes = f"with {'; '.join(changed_sensors)}" if changed_sensors else "with no cause found"
+    changes = f"with {'; '.join(changed_sensors)}" if changed_sensors else "without a cause"
     return f"{len(bench.base.headers)} sensors as diagnosed from {source}: {before}, fitted, {changes}."
 
 

@@ -567,7 +567,7 @@ def _closing(cause: Cause, diagnosis: Diagnosis) -> str:
     if closed is None:
         return ""
     data = "the data that showed it" if cause.needs_both else "held-out data"
-    remaining = "what the causes before it leave of " if cause.preceding else ""
+    remaining = "what the previous causes leave of " if cause.preceding else ""
     of = f"{remaining}the gap of {names_text(cause.sensors) or 'all sensors'} on {data}"
     return f"if this were the cause, it would close {closed_text(closed, interval)} of {of}"
 
@@ -588,7 +588,7 @@ def _check(diagnosis: Diagnosis) -> Iterator[Line]:
         yield "  ", use
     remaining = _distinct(diagnosis.unexplained) if in_model else []
     if remaining:
-        form = ", by no more than an inexact form of the causes makes" if diagnosis.verdict == "explained" else ""
+        form = ", as far as the approximate models of the causes allow" if diagnosis.verdict == "explained" else ""
         yield "  ", f"Still different{form}: {counted(len(diagnosis.unexplained), 'statistic')}"
     for entry in remaining[:_WORST_AFTER]:
         yield "    ", difference_text(entry, len(diagnosis.recorded))

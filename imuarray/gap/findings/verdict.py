@@ -346,12 +346,12 @@ def _reason(
             f"{listed(sorted(unlikely))} still {'differs' if len(unlikely) == 1 else 'differ'} far beyond chance"
         )
     elif has_remainder:
-        reasons.append("what is left still matters")
+        reasons.append("the remaining differences still matter")
     if max(cause.probability for cause in causes) < EVEN:
-        reasons.append("which of several causes it is remains open: none is more probable than not")
+        reasons.append("the cause remains open: none has a probability of one half or more")
     if unknown >= EVEN:
-        reasons.append("something outside the library is at least as probable as not")
-    return "; ".join(reasons[:_MOST_REASONS]) or "the causes close the gap, up to what an inexact form of them leaves"
+        reasons.append("something outside the library has a probability of at least one half")
+    return "; ".join(reasons[:_MOST_REASONS]) or "the causes close the gap, except what their approximate models leave"
 
 
 def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
@@ -479,7 +479,8 @@ def _nearest(causes: Sequence[Cause], where: Sequence[Where]) -> list[str]:
     if not causes:
         return []
     is_near = not causes[0].sensors or where[0].sensor in causes[0].sensors
-    start = "the nearest is" if is_near else f"of other differences than those of {place_text(where[0])} one may be"
+    elsewhere = f"a possible cause of differences elsewhere than in {place_text(where[0])} is"
+    start = "the nearest is" if is_near else elsewhere
     return [f"No known effect makes these recordings likely; {start} {_named(causes[0])}."]
 
 

@@ -261,7 +261,7 @@ def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recor
         else:
             known.append(recording)
     if not known:
-        note = "The box is heated and no temperature is recorded: biases may change by what any heat changes them."
+        note = "The box is heated and no temperature is recorded: biases may change as in any heating."
         return tuple(
             replace(each, experiment=each.experiment._replace(is_heated=True), notes=(note, *each.notes))
             for each in recordings

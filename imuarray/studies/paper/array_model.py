@@ -452,7 +452,6 @@ _POPULATION = """\
 _MAGNETOMETERS = """\
 # The paper logs its two magnetometers but does not analyse them. Data sheet: gain +-5 % (HMC-52), -1.2 counts of 1024
 # per degC (HMC-57), 10 mG (HMC-53).
-
 """
 
 

@@ -118,7 +118,7 @@ PROBES: Probes = {
     ),
     "spike": PhaseProbe(
         "distribution",
-        "log of the largest spike in motion over the eighth",
+        "log of the largest spike in motion over the eighth largest",
         ("glitches",),
         VARIANCE,
         spike,

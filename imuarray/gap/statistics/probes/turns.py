@@ -57,7 +57,7 @@ def turn_of(summary: Summary, ups_box: tuple[Up, Up]) -> Turn | None:
 PROBES: Probes = {
     "turn_factor": TurnProbe(
         "motion",
-        "factor of the readings by which turns lead from one attitude to the next",
+        "factor on the readings with which turns lead from one attitude to the next",
         ("axis_error", "channel_swap", "range_reset", "scale"),
         response,
         factor,
