@@ -174,25 +174,25 @@ _TOLD = 12
 """Maximum number of mistakes that are listed; a file with more is another kind of file."""
 
 _IN_OTHER_WORDS = {
-    "int_type": "{came}: a whole number without quotes is required (0x40 is one)",
-    "float_type": "{came}: a number without quotes is required",
-    "string_type": "{came}: a text in quotes is required",
+    "int_type": "{value}: a whole number without quotes is required (0x40 is one)",
+    "float_type": "{value}: a number without quotes is required",
+    "string_type": "{value}: a text in quotes is required",
     "list_type": "a list is required; an array of tables is written with two brackets, as in [[sensor]]",
-    "bool_type": "{came}: true or false is required",
+    "bool_type": "{value}: true or false is required",
     "missing": "is missing",
-    "model_type": "{came}: a table is required",
-    "dict_type": "{came}: a table is required",
-    "literal_error": "{came}: allowed are {expected}",
-    "greater_than": "{came}: allowed is anything above {gt:g}",
-    "greater_than_equal": "{came}: allowed is {ge:g} or more",
-    "less_than": "{came}: allowed is anything below {lt:g}",
-    "less_than_equal": "{came}: allowed is {le:g} or less",
-    "finite_number": "{came}: a finite number is required",
+    "model_type": "{value}: a table is required",
+    "dict_type": "{value}: a table is required",
+    "literal_error": "{value}: allowed are {expected}",
+    "greater_than": "{value}: allowed is anything above {gt:g}",
+    "greater_than_equal": "{value}: allowed is {ge:g} or more",
+    "less_than": "{value}: allowed is anything below {lt:g}",
+    "less_than_equal": "{value}: allowed is {le:g} or less",
+    "finite_number": "{value}: a finite number is required",
     "too_short": "{actual_length} entries: {min_length} or more are required",
     "too_long": "{actual_length} entries: {max_length} or fewer are required",
-    "string_too_short": "{came}: a text of {min_length} or more characters is required",
-    "string_too_long": "{came}: a text of {max_length} or fewer characters is required",
-    "string_pattern_mismatch": "{came}: allowed are a letter, then letters, digits and _, 32 characters at most",
+    "string_too_short": "{value}: a text of {min_length} or more characters is required",
+    "string_too_long": "{value}: a text of {max_length} or fewer characters is required",
+    "string_pattern_mismatch": "{value}: allowed are a letter, then letters, digits and _, 32 characters at most",
 }
 """The messages of pydantic that name its own types."""
 
@@ -378,7 +378,7 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
         near = closest(str(key), choices, cutoff=0.5)
         return f"unknown key{f' (did you mean {near!r}?)' if near else ''}; allowed are {', '.join(choices)}"
     if mistake["type"] in _IN_OTHER_WORDS:
-        words = _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40], **mistake.get("ctx", {}))
+        words = _IN_OTHER_WORDS[mistake["type"]].format(value=repr(mistake["input"])[:40], **mistake.get("ctx", {}))
         is_address = mistake["loc"][-1:] == ("address",) and isinstance(mistake["input"], int)
         return re.sub(r"\b\d+\b", lambda number: f"{int(number[0]):#04x}", words) if is_address else words
     if mistake["type"] == "value_error":

@@ -168,7 +168,7 @@ def gap_section(diagnosis: Diagnosis) -> Section:
     table = Table(
         ["effect", "where", "parameters", "probability"],
         rows or [["none", "", "", ""]],
-        "Effects that the data sheets' model lacks. gap.html beside this page has the details.",
+        "Effects that the data sheets' model lacks. gap.html in the same folder has the details.",
         (0, 1, 2),
     )
     return Section("How far a simulator of the data sheets is from the run at rest", diagnosis.sentence, [table])
@@ -189,7 +189,7 @@ def recorded_section(logs: Mapping[str, Path], lead: str = ABOUT_PAPERS_ARRAY) -
             readings = sum(len(sensor) for sensor in log.sensors.values())
             phases = ", ".join(phase.name for phase in log.phases)
             rows.append([run, f"{seconds:.0f}", f"{readings}", phases, str(len(log.events))])
-    caption = "One log per run; all of them are beside this page."
+    caption = "One log per run; all of them are in the folder of this page."
     table = Table(["run", "seconds", "readings", "phases", "events"], rows, caption, (3,))
     return Section("What was recorded", f"{lead} Every log holds raw counts.", [table])
 

@@ -401,27 +401,27 @@ def _azimuth() -> Statement:
     channel = "ADXL1 x"
     response = response_of(channel)
     true = degrees(atan2(float(response[1]), float(response[0])))
-    as_printed = count_reproductions(quotient_mended=False, sum_mended=True)
-    mended = count_reproductions(quotient_mended=True, sum_mended=True)
+    as_printed = count_reproductions(quotient_corrected=False, sum_corrected=True)
+    corrected = count_reproductions(quotient_corrected=True, sum_corrected=True)
     total = len(table(3))
     return Statement(
         "Appendix B: azimuth = arctan(f_x / f_y) is 0 along X and 90 degrees along Y",
         f"{channel} points along box {main_axis(response)}: the formula gives "
         f"{figure(printed_azimuth_deg(channel), 1)} deg, "
         f"atan2(f_y, f_x) {figure(true, 1)} deg; with the quotient as printed {as_printed} of {total} scale factors of "
-        f"Table 3 come out, turned over {mended} of {total}",
+        f"Table 3 come out, turned over {corrected} of {total}",
         as_printed == total,
     )
 
 
 def _six_term_sum() -> Statement:
     total = len(table(3))
-    as_printed = count_reproductions(quotient_mended=True, sum_mended=False)
-    mended = count_reproductions(quotient_mended=True, sum_mended=True)
+    as_printed = count_reproductions(quotient_corrected=True, sum_corrected=False)
+    corrected = count_reproductions(quotient_corrected=True, sum_corrected=True)
     return Statement(
         "Appendix B: the average of six terms is the scale factor",
-        f"even with the azimuth mended the printed sum gives {as_printed} of {total} scale factors "
-        f"of Table 3; with the first term's missing cos(azimuth) moved back from the third, {mended} of {total}",
+        f"even with the azimuth corrected the printed sum gives {as_printed} of {total} scale factors "
+        f"of Table 3; with the first term's missing cos(azimuth) moved back from the third, {corrected} of {total}",
         as_printed == total,
     )
 
@@ -519,7 +519,7 @@ def _thermometers() -> Statement:
     affected = {channel for channel, *_ in impossible} | {channel for channel, _ in unexplained}
     return Statement(
         "Table 11: standard deviations, ranges and ratios belong together",
-        f"{len(impossible)} standard deviations of 15 means are impossible beside their printed "
+        f"{len(impossible)} standard deviations of 15 means are impossible with their printed "
         f"range: {worst}; the ratio is "
         f"not the quotient of its columns for {ratios}; Tables 6 and 7 give {other_chips}; of the channels so affected "
         f"{sum(is_inertial(row_of(11, channel)) for channel in affected)} are inertial, all others thermometers",

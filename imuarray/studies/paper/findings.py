@@ -18,7 +18,7 @@ from imuarray.json_values import json_value
 from imuarray.studies.paper.results import hanging
 
 NEXT_EXPERIMENT = (
-    "switch the array on a dozen times a day for several days, a reference thermometer beside it "
+    "switch the array on a dozen times a day for several days, a reference thermometer next to it "
     "(levels of other days); "
     "read BW_RATE of the ADXL345 back, and log it at 100 Hz: odd codes and 0.75 LSB rms are odr_error; "
     "one run of a day: random_walk keeps growing, bias_instability levels off; "
@@ -132,7 +132,7 @@ def _places(finding: Finding) -> Iterator[dict[str, Any]]:
 
 def render_text() -> str:
     """Return every finding for a terminal, in lines of at most 100 columns."""
-    lines = ["The paper's tables beside its chips' data sheets: anomalies and their likely causes", ""]
+    lines = ["The paper's tables compared with its chips' data sheets: anomalies and their likely causes", ""]
     for finding in findings():
         lines += [*_paragraph(finding), ""]
     return "\n".join([*lines, *hanging("Next: ", NEXT_EXPERIMENT)]) + "\n"

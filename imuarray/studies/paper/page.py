@@ -56,7 +56,7 @@ TABLE_WORDS: Mapping[int, tuple[str, str]] = {
         "in-run variation",
         "Standard deviation of fifteen five-minute means in a row, averaged over axes; recomputed from Table 11.",
     ),
-    6: ("BMA1 switched on fifteen times", "Means of each run; run 10 came up in the wrong range."),
+    6: ("BMA1 switched on fifteen times", "Means of each run; run 10 started in the wrong range."),
     7: ("Gyro3 switched on fifteen times", "Means of each run; two sets of biases."),
     8: (
         "output against temperature",
@@ -85,8 +85,8 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
         "Temperature over 110 minutes with two peaks",
     ),
     "8": (
-        "Like Figure 8, simulated: ADXL1 z against temperature. The slope is small beside the noise of one reading; "
-        "only even codes come out.",
+        "Like Figure 8, simulated: ADXL1 z against temperature. The slope is small compared with the noise of one "
+        "reading; only even codes occur.",
         "Scatter of ADXL1 z against temperature with the simulated and the printed line",
     ),
     "9": (
@@ -112,7 +112,7 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
     ),
     "15": (
         "Like Figure 15, simulated: codes of Gyro1 x at both ranges and the normal curve of the same deviation. A "
-        "count at ±2000 dps is small beside the noise.",
+        "count at ±2000 dps is small compared with the noise.",
         "Histograms of Gyro1 x at two ranges",
     ),
     "16": (

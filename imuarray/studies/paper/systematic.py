@@ -254,41 +254,41 @@ _LAST_DIGIT = 0.01
 """One unit of the last digit of Table 3's scale factors, in counts per g."""
 
 
-def azimuth(readings: Sequence[Decimal], *, quotient_mended: bool) -> float:
+def azimuth(readings: Sequence[Decimal], *, quotient_corrected: bool) -> float:
     """Return the azimuth in radians: arctan(f_x / f_y) as printed, arctan(f_y / f_x) corrected (still without a
     quadrant).
     """
     along_x, along_y, _ = (float(part) for part in half_differences(readings))
-    return atan(along_y / along_x) if quotient_mended else atan(along_x / along_y)
+    return atan(along_y / along_x) if quotient_corrected else atan(along_x / along_y)
 
 
-def scale_factor(readings: Sequence[Decimal], *, quotient_mended: bool, sum_mended: bool) -> float:
+def scale_factor(readings: Sequence[Decimal], *, quotient_corrected: bool, sum_corrected: bool) -> float:
     """Return Appendix B's scale factor in counts per g, with each slip corrected or not."""
     along_x, along_y, along_z = (float(part) for part in half_differences(readings))
-    turn = azimuth(readings, quotient_mended=quotient_mended)
+    turn = azimuth(readings, quotient_corrected=quotient_corrected)
     lift = atan(2 * along_z / (along_x / cos(turn) + along_y / sin(turn)))
     bias = six_face_bias(readings)
     z_up, x_up, y_up, x_down, y_down, z_down = (float(reading - bias) for reading in readings[:6])
-    first, third = (cos(turn), 1.0) if sum_mended else (1.0, cos(turn))
+    first, third = (cos(turn), 1.0) if sum_corrected else (1.0, cos(turn))
     x_terms = (x_up / first - x_down / cos(turn)) / cos(lift)
     y_terms = (y_up - y_down) / (cos(lift) * sin(turn))
     z_terms = (z_up / third - z_down) / sin(lift)
     return (x_terms + y_terms + z_terms) / 6
 
 
-def count_reproductions(*, quotient_mended: bool, sum_mended: bool) -> int:
+def count_reproductions(*, quotient_corrected: bool, sum_corrected: bool) -> int:
     """Return the number of Table 3's scale factors that this form reproduces to one unit of the last digit."""
     count = 0
     for row in table(3):
         readings = numbers_in(row_of(10, row["channel"]), READINGS)
-        value = scale_factor(readings, quotient_mended=quotient_mended, sum_mended=sum_mended)
+        value = scale_factor(readings, quotient_corrected=quotient_corrected, sum_corrected=sum_corrected)
         count += round(abs(value - float(number_in(row, "scale_lsb_per_g"))), 4) <= _LAST_DIGIT
     return count
 
 
 def printed_azimuth_deg(channel: str) -> float:
     """Return the azimuth in degrees that Appendix B's formula, as printed, gives for a channel."""
-    return degrees(azimuth(numbers_in(row_of(10, channel), READINGS), quotient_mended=False))
+    return degrees(azimuth(numbers_in(row_of(10, channel), READINGS), quotient_corrected=False))
 
 
 @dataclass(frozen=True)

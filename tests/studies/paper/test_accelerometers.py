@@ -63,8 +63,8 @@ def test_response_is_the_least_squares_fit_to_the_six_faces(channel: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("quotient_mended", "sum_mended", "count"),
+    ("quotient_corrected", "sum_corrected", "count"),
     [(False, False, 0), (False, True, 0), (True, False, 4), (True, True, 18)],
 )
-def test_the_form_of_appendix_b_used_for_table_3(quotient_mended: bool, sum_mended: bool, count: int) -> None:
-    assert count_reproductions(quotient_mended=quotient_mended, sum_mended=sum_mended) == count
+def test_the_form_of_appendix_b_used_for_table_3(quotient_corrected: bool, sum_corrected: bool, count: int) -> None:
+    assert count_reproductions(quotient_corrected=quotient_corrected, sum_corrected=sum_corrected) == count
