@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,7 @@ from imuarray.drivers import Driver
 from imuarray.drivers.fifo_clock import TOLERANCE
 from imuarray.drivers.six_axis_queue import QueueReader
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
+from imuarray.log.health import StartVerdict
 from imuarray.log.writer import Block
 
 SECONDS = 10.0
@@ -40,25 +41,6 @@ FEWEST_READINGS = 10
 """Least number of readings for a verdict; the mean of fewer is so noisy that it could look like another state."""
 ATTEMPTS = 3
 """Largest number of attempts to configure a sensor that started wrong; after them, none of its readings are trusted."""
-
-
-class StateVerdict(NamedTuple):
-    """A verdict on a sensor's start: `fault` if its readings can't be used, and a sentence (or "")."""
-
-    fault: bool
-    text: str = ""
-
-
-class StartVerdict(Protocol):
-    """A verdict on one sensor, as `StateVerdict`."""
-
-    @property
-    def fault(self) -> bool:
-        """True if its readings can't be used."""
-
-    @property
-    def text(self) -> str:
-        """A sentence for the events, or "" if there is no remark."""
 
 
 Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, StartVerdict]]
@@ -98,10 +80,10 @@ class StartUpCheck:
         readings = {name: counts for name, counts in counts_by_name.items() if len(counts) >= FEWEST_READINGS}
         verdicts = dict(self._judge(readings)) if readings else {}
         for name in counts_by_name.keys() - readings.keys():
-            verdicts[name] = StateVerdict(
+            verdicts[name] = StartVerdict(
                 False, f"not checked: {len(counts_by_name[name])} readings of at least {FEWEST_READINGS}"
             )
-        results = [(item, verdicts.get(item.route.sensor.name, StateVerdict(False))) for item in due]
+        results = [(item, verdicts.get(item.route.sensor.name, StartVerdict(False))) for item in due]
         for item, verdict in results:
             del self._since_ns[id(item)]
             if verdict.fault:

@@ -18,6 +18,7 @@ from imuarray.calibrate.pose_readings import Pose, find_poses
 from imuarray.calibrate.runs import NO_RANGES, Ranges, explained_range
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
+from imuarray.log.health import StartVerdict
 
 _SECONDS = 10.0
 _STILL = ("static", "room", "run ")
@@ -175,13 +176,6 @@ to five.
 """
 
 
-class StartUpVerdict(NamedTuple):
-    """Verdict on the start of a sensor: whether its readings are unusable, and a sentence ("" for a usual start)."""
-
-    fault: bool
-    text: str = ""
-
-
 class StartStateDetector:
     """Judges the first readings of sensors (an `imuarray.acquire.sensor_health.Judge`): a call returns verdicts by
     name.
@@ -207,7 +201,7 @@ class StartStateDetector:
         """Return the calibration with the biases of the states in which sensors started, as far as known."""
         return in_states(dict(self._starts), self._calibration)
 
-    def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, StartUpVerdict]:
+    def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, StartVerdict]:
         """Return verdicts by sensor; a restarted sensor is judged together with the first readings of the others."""
         calibrated = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
         if calibrated and np.median([_restlessness(counts) for counts in calibrated.values()]) > _RESTLESS:
@@ -224,11 +218,11 @@ class StartStateDetector:
             self._report(usual if states else "the calibration contains no turn-on states")
         return verdicts
 
-    def _verdict(self, name: str, start: StartUp) -> StartUpVerdict:
+    def _verdict(self, name: str, start: StartUp) -> StartVerdict:
         text = start.sentence(name, self._calibration)
         if text:
             self._say(text)
-        return StartUpVerdict(start.fault, text)
+        return StartVerdict(start.fault, text)
 
     def _say(self, text: str) -> None:
         if text not in self.sentences:

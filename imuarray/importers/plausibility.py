@@ -207,15 +207,6 @@ factor by which the rates must be multiplied.
 """
 
 
-@dataclass(frozen=True)
-class Report:
-    """Sentences: `facts` of a recording, `quirks` that concern its analysis, `doubts` about its map."""
-
-    facts: tuple[str, ...] = ()
-    quirks: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-
-
 @dataclass
 class _Sentences:
     """Sentences, each with the sensors that it applies to."""
@@ -242,8 +233,8 @@ def _group_names(names: Sequence[str]) -> list[str]:
     return [name for same in kinds.values() for name in same]
 
 
-def report_of(log: Log) -> Report:
-    """Return the report on all triads and thermometers of a log."""
+def report_of(log: Log) -> ImportReport:
+    """Return the report on all triads and thermometers of a log, without remarks."""
     examination = _Examination()
     for sensor in log.sensors.values():
         if len(sensor) < FEWEST_ROWS:
@@ -261,16 +252,18 @@ def report_of(log: Log) -> Report:
     forces = _names_of(log, "specific_force", windows)
     if forces and (knocks := windows[forces[0]].knocks()):
         examination.quirks.add(forces[0], knocks)
-    return Report(tuple(_facts(examination.levels)), examination.quirks.all(), examination.doubts.all())
+    return ImportReport(
+        facts=tuple(_facts(examination.levels)), quirks=examination.quirks.all(), doubts=examination.doubts.all()
+    )
 
 
-def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> Report:
+def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> ImportReport:
     """Store the report on an imported log, and the importer's `remarks`, in the log, and return the report; LogError if
     the log cannot be read or written.
     """
     with open_log(output) as log:
-        report = report_of(log)
-    store_import_report(output, ImportReport(report.facts, tuple(remarks), report.quirks, report.doubts))
+        report = report_of(log)._replace(remarks=tuple(remarks))
+    store_import_report(output, report)
     return report
 
 

@@ -83,6 +83,13 @@ class Health:
     advice: str = ""
 
 
+class StartVerdict(NamedTuple):
+    """A verdict on the start of a sensor: `fault` if its readings can't be used, and a sentence (or "")."""
+
+    fault: bool
+    text: str = ""
+
+
 class _Reason(NamedTuple):
     text: str
     advice: str

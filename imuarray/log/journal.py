@@ -121,13 +121,8 @@ def groups_of(sensors: Iterable[SensorHeader]) -> tuple[ColumnGroup, ...]:
     return (*(sensor_group(header) for header in sensors), *tracks, ColumnGroup(NOTES, ((_TEXT, "<u1", ()),)))
 
 
-class OpenPhase(NamedTuple):
+class OpenPhase(Phase):
     """A phase that has begun and whose end is not known yet; `end_ns` is the latest possible end."""
-
-    start_ns: int
-    end_ns: int
-    name: str
-    up: str = ""
 
 
 @dataclass

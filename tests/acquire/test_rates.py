@@ -12,11 +12,11 @@ import pytest
 from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.recorder import record
 from imuarray.acquire.sample_buffer import HELD_S
-from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.drivers import OnDemandDriver
 from imuarray.log import open_log
+from imuarray.log.health import StartVerdict
 from imuarray.log.writer import Block, LogWriter
 from tests.acquire.streams import stream
 from tests.bus.serial_bench import Bench
@@ -294,9 +294,9 @@ def test_a_start_is_judged_by_at_least_ten_readings(
     array = an_array(A=0, G=0)
     numbers: list[int] = []
 
-    def judge(readings: Mapping[str, Any]) -> dict[str, StateVerdict]:
+    def judge(readings: Mapping[str, Any]) -> dict[str, StartVerdict]:
         numbers.extend(len(counts) for counts in readings.values())
-        return {name: StateVerdict(True, "came up wrong") for name in readings}
+        return {name: StartVerdict(True, "came up wrong") for name in readings}
 
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=30, judge=judge)

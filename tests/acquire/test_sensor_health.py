@@ -14,13 +14,13 @@ import pytest
 
 from imuarray.acquire import record
 from imuarray.acquire.fault_episode import FaultEpisode
-from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.cli import main
 from imuarray.errors import SensorError
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
+from imuarray.log.health import StartVerdict
 from tests.selection import some
 
 SECOND = 1_000_000_000
@@ -212,8 +212,8 @@ def test_missed_frames_are_lost_readings_of_polled_sensors(faulty_recording: Cal
 
 @pytest.mark.slow
 def test_a_sensor_that_repeatedly_starts_in_another_state_stays_suspect(faulty_recording: Callable[..., Any]) -> None:
-    def judge(readings: Any) -> dict[str, StateVerdict]:
-        return {"G": StateVerdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
+    def judge(readings: Any) -> dict[str, StartVerdict]:
+        return {"G": StartVerdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
 
     table = '[[fault]]\nkind="start_up"\nsensor="G"\nbias=[90.0, 90.0, 90.0]\n'
     _, log = faulty_recording(table, 45, rate_hz=20, judge=judge, A=0, G=0)

@@ -17,13 +17,13 @@ import pytest
 
 from firmware_emulator import serial_firmware
 from imuarray.acquire import connect
-from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.acquire.stream import streams
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus.serial_bus import SerialBus
 from imuarray.errors import BusUrlError
 from imuarray.log import open_log
+from imuarray.log.health import StartVerdict
 from tests.acquire.streams import LOST, OVERRUN, RECONFIGURED, SUSPECT, S, events, logged, on_the_wire, stream
 from tests.bus.serial_bench import Bench
 from tests.firmware.kinds import both_kinds
@@ -368,9 +368,9 @@ def test_a_sensor_in_another_start_up_state_is_set_up_again(
     array = an_array(A=0, G=0)
     asked: list[int] = []
 
-    def judge(readings: Mapping[str, Any]) -> dict[str, StateVerdict]:
+    def judge(readings: Mapping[str, Any]) -> dict[str, StartVerdict]:
         asked.extend(len(counts) for name, counts in readings.items() if name == "G")
-        return {"G": StateVerdict(len(asked) == 1, "came up in another state" if len(asked) == 1 else "")}
+        return {"G": StartVerdict(len(asked) == 1, "came up in another state" if len(asked) == 1 else "")}
 
     stream(Bench(array), array, tmp_path / "r.h5", rate_hz=50, seconds=25, judge=judge)
     _, _, status = logged(tmp_path / "r.h5", "G")

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.importers.plausibility import Report, report_of
+from imuarray.importers.plausibility import report_of
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
+from imuarray.log.import_report import ImportReport
 from tests.importers.recordings import PER_DPS, PER_G, counts_of, walk
 from tests.importers.text_tables import lines, text
 from tests.selection import some
@@ -39,7 +40,7 @@ ROWS = 2000
 T = walk(ROWS).time_s
 
 
-def report(codes: np.ndarray, folder: Path) -> Report:
+def report(codes: np.ndarray, folder: Path) -> ImportReport:
     """The report on codes (n, 6)."""
     (folder / "map.toml").write_text(MAP)
     (folder / "a.csv").write_text(text("t,ax,ay,az,gx,gy,gz", *lines("{:.2f}" + ",{}" * 6, T, codes.astype(int))))

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import ArrayConfig
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
+from imuarray.log.health import StartVerdict
 from tests.reliability.night import Memory, Night, array_of, night
 
 TIMES = [
@@ -234,10 +234,10 @@ def test_a_start_up_in_another_state_is_flagged_and_set_up_again(count: int) -> 
     sensitivity = 1 / 0.00875  # L3G-40
     random = np.random.default_rng(8)
 
-    def judge(readings: Any) -> dict[str, StateVerdict]:
+    def judge(readings: Any) -> dict[str, StartVerdict]:
         rate_dps = readings["G"].mean(axis=0)[0] / sensitivity
         fault = bool(min(abs(rate_dps + 2.0), abs(rate_dps - 1.0)) > 1.0)
-        return {"G": StateVerdict(fault, f"{rate_dps:.1f} dps" if fault else "")}
+        return {"G": StartVerdict(fault, f"{rate_dps:.1f} dps" if fault else "")}
 
     for _ in range(count):
         bias = float(random.uniform(5.0, 20.0))

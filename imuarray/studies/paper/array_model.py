@@ -46,6 +46,7 @@ from scipy.optimize import brentq
 
 from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
+from imuarray.simulate.population import Spread
 from imuarray.studies.paper.systematic import READINGS, as_text, believed_axes
 from imuarray.studies.paper.tables import (
     BMA180_LSB_PER_G,
@@ -338,26 +339,16 @@ printed.
 """
 
 
-@dataclass(frozen=True)
-class NormalPopulation:
-    """A normal population, in a parameter's unit."""
-
-    mean: float
-    sigma: float
-    shared: float
-    limit: float | None = None
-
-
-def spread(values: Floats, count: int, *, positive: bool = False) -> NormalPopulation:
+def spread(values: Floats, count: int, *, positive: bool = False) -> Spread:
     """Return the population that is predicted by `values` (any shape) of `count` units."""
     mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / count)
     limit = floor(mean * 1e6) / 1e6 if positive and mean < 3 * sigma else None
-    return NormalPopulation(mean, sigma, 1 / (count + 1), limit)
+    return Spread(mean=mean, sigma=sigma, shared=1 / (count + 1), limit=limit)
 
 
-def about_zero(values: Floats, count: int) -> NormalPopulation:
+def about_zero(values: Floats, count: int) -> Spread:
     """Return the same for a parameter without a preferred sign: the mean is 0."""
-    return NormalPopulation(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / count), 1 / (count + 1))
+    return Spread(sigma=float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / count), shared=1 / (count + 1))
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
@@ -464,7 +455,7 @@ def fit_text() -> str:
     parts.append(_POPULATION)
     parts += [_part("design", head, effects) for head, effects in designs()]
     compass: dict[str, Table] = {
-        "scale": {"error": NormalPopulation(0.0, 0.025, 0.0, limit=0.05)},
+        "scale": {"error": Spread(sigma=0.025, limit=0.05)},
         "thermal_scale": {"slope_per_degc": -1.2 / 1024},
         "white_noise": {"rms_gauss": 0.01},
     }
@@ -526,12 +517,12 @@ def _value(value: object) -> str:
     """Format as TOML a text, a number (six digits), a population, or a list of them."""
     if isinstance(value, str):
         return f'"{value}"'
-    if isinstance(value, NormalPopulation) and value.sigma == 0:
+    if isinstance(value, Spread) and value.sigma == 0:
         return _value(value.mean)
-    if isinstance(value, NormalPopulation):
+    if isinstance(value, Spread):
         items = {"mean": value.mean, "sigma": value.sigma, "limit": value.limit, "shared": value.shared}
         return "{ " + ", ".join(f"{key} = {_value(item)}" for key, item in items.items() if item is not None) + " }"
-    if isinstance(value, list) and isinstance(value[0], NormalPopulation):
+    if isinstance(value, list) and isinstance(value[0], Spread):
         return "[\n" + "".join(f"  {_value(item)},\n" for item in value) + "]"
     if isinstance(value, list | np.ndarray):
         return f"[{', '.join(map(_value, value))}]"
