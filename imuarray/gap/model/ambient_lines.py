@@ -2,10 +2,11 @@
 
 A line in a sensor's spectrum is a nuisance quantity if another sensor of the same quantity measures it too, with the
 same amplitude along the axes of the box. A faint line of an accelerometer is also a nuisance quantity unless another
-sensor contradicts it, which means that its noise and rate would show the line but do not. If no other sensor would show
-it, a line of some milli-g counts as faint: its origin cannot be determined. A line that another sensor
-contradicts, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an effect.
-Neither is the broad maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a spectrum.
+sensor, or all others together, contradict it, which means that their noise and rate would show the line but do not. If
+the others would not show it, a line of some milli-g counts as faint: its origin cannot be determined. A line that
+others contradict, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an
+effect. Neither is the broad maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a
+spectrum.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Indices
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.lines import HALF_WIDTH, Line, floor_of, highest_lines, pool_spectra
@@ -89,6 +90,13 @@ def fit_ambient_lines(campaign: Campaign, headers: Mapping[str, SensorHeader]) -
     return tuple(line for group in _groups(campaign, headers) for line in _ambient_lines(group))
 
 
+class _Peak(NamedTuple):
+    """The peak of a line: `bins` (n,) of the spectrum, and their `shares` (n,) of its power."""
+
+    bins: Indices
+    shares: Floats
+
+
 class _Spectrum(NamedTuple):
     """The pooled spectrum of a sensor at rest, in counts, and the rate of its rows."""
 
@@ -101,15 +109,14 @@ class _Spectrum(NamedTuple):
         """Counts per SI unit."""
         return self.header.sensitivity / SI_PER_UNIT[self.header.unit]
 
-    def power(self, place: float) -> tuple[Floats, Floats]:
-        """Return the power (3,) above the floor at a bin along the sensor's own axes, in squared SI units, and its
-        standard deviation for noise alone.
+    def power(self, peak: _Peak) -> tuple[Floats, Floats]:
+        """Return the power (3,) of a line along the sensor's own axes, in squared SI units, by least squares over the
+        bins of its peak, and its standard deviation for noise alone.
         """
         density, rows = self.spectrum.density, self.spectrum.segment_rows
-        near = np.abs(np.arange(len(density)) - place) <= HALF_WIDTH
-        floor = np.median(density[2:], axis=0)
-        power = np.maximum(density[near] - floor, 0.0).sum(axis=0) / rows
-        chance = floor / rows * np.sqrt(2 * near.sum() / self.spectrum.freedom[near].mean())
+        floor, square = np.median(density[2:], axis=0), peak.shares @ peak.shares
+        power = np.maximum(peak.shares @ (density[peak.bins] - floor) / square, 0.0) / rows
+        chance = floor / rows * np.sqrt(2 / (square * self.spectrum.freedom[peak.bins].mean()))
         return power / self.counts_per_unit**2, chance / self.counts_per_unit**2
 
 
@@ -150,12 +157,12 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
             known += range(_LOWEST)
             continue
         known.append(line.bin)
-        amplitude_box = _amplitude_box(member, line)
-        others = [other for other in group if other is not member]
-        if any(_contradicts(other, line.bin, amplitude_box) for other in others):
+        peak, others = _peak(member.spectrum, line), [other for other in group if other is not member]
+        amplitude_box = _amplitude_box(member, peak)
+        if any(_contradict(some, peak, amplitude_box) for some in (others, *([other] for other in others))):
             continue
-        is_confirmed = any(_confirms(other, line.bin, amplitude_box) for other in others)
-        is_alone = not any(_power_along(other, line.bin, amplitude_box).would_show for other in others)
+        is_confirmed = any(_confirms(other, peak, amplitude_box) for other in others)
+        is_alone = not _joint_power(others, peak, amplitude_box).would_show
         most_g = MOST_ALONE_G if is_alone else MOST_G
         is_faint = member.header.quantity == "specific_force" and amplitude_box.max() <= most_g * STANDARD_GRAVITY
         if is_confirmed or is_faint:
@@ -174,49 +181,65 @@ def _is_wander(spectrum: Spectrum, line: Line) -> bool:
     return bool(beyond @ excess[peak] > _BROAD * excess[peak] @ excess[peak])
 
 
-def _amplitude_box(member: _Spectrum, line: Line) -> Floats:
+def _peak(spectrum: Spectrum, line: Line) -> _Peak:
+    """Return the peak of a line along the axis along which it is highest."""
+    bins = np.flatnonzero(np.abs(np.arange(len(spectrum.density)) - line.bin) <= HALF_WIDTH)
+    excess = np.maximum(spectrum.density - floor_of(spectrum.density), 0.0)[bins, int(line.height.argmax())]
+    return _Peak(bins, excess / excess.sum())
+
+
+def _amplitude_box(member: _Spectrum, peak: _Peak) -> Floats:
     """Return the amplitudes (3,) of a line in SI units along the box axes, measured by one sensor."""
-    power = np.maximum(line.power, 0.0) / member.counts_per_unit**2
+    power, _ = member.power(peak)
     return np.asarray(np.abs(np.array(member.header.orientation)) @ np.sqrt(2 * power))
 
 
-def _confirms(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
+def _confirms(other: _Spectrum, peak: _Peak, amplitude_box: Floats) -> bool:
     """Return whether a sensor measures the same line, with a power within `_CONFIRMED`, along the axis along which it
     is strongest.
     """
     expected = (np.abs(np.array(other.header.orientation)).T @ amplitude_box) ** 2 / 2
-    power, chance = other.power(place)
+    power, chance = other.power(peak)
     axis = int(np.argmax(expected))
     is_there = power[axis] > _HIGH * chance[axis]
     return bool(is_there and expected[axis] / _CONFIRMED < power[axis] < expected[axis] * _CONFIRMED)
 
 
-def _contradicts(other: _Spectrum, place: float, amplitude_box: Floats) -> bool:
-    """Return whether a sensor does not measure the line although it would be significant along one of its axes."""
-    along = _power_along(other, place, amplitude_box)
-    is_less = along.expected - along.measured > _SURE * along.scatter
-    return bool(is_less and along.measured < _CONTRADICTED * along.expected)
+def _contradict(others: Sequence[_Spectrum], peak: _Peak, amplitude_box: Floats) -> bool:
+    """Return whether sensors together do not measure the line although it would be significant."""
+    joint = _joint_power(others, peak, amplitude_box)
+    return bool(1 - joint.measured > _SURE * joint.scatter and joint.measured < _CONTRADICTED)
 
 
-class _PowerAlong(NamedTuple):
-    """Power of a line along the axis of a sensor along which it is most significant: that `expected` from its
-    amplitude, that `measured`, and the standard deviation of the latter, in squared SI units.
+class _JointPower(NamedTuple):
+    """Power of a line in all axes of some sensors together, as a share of that expected from its amplitude: `measured`,
+    its standard deviation with the line, `scatter`, and with `noise` alone.
     """
 
-    expected: float
     measured: float
     scatter: float
+    noise: float
 
     @property
     def would_show(self) -> bool:
-        """True if the sensor would show the line."""
-        return self.expected > _SURE * self.scatter
+        """True if the sensors would show the line."""
+        return self.noise * _SURE < 1
 
 
-def _power_along(other: _Spectrum, place: float, amplitude_box: Floats) -> _PowerAlong:
-    """Return the power of a line with amplitudes (3,) along the axes of the box at a bin of a sensor's spectrum."""
-    expected = (np.abs(np.array(other.header.orientation)).T @ amplitude_box) ** 2 / 2
-    power, chance = other.power(place)
-    axis = int(np.argmax(expected / np.where(chance > 0, chance, np.inf)))
-    in_phase = 2 * expected[axis] / math.sqrt(max(other.spectrum.segments, 1))  # noise in phase with the line
-    return _PowerAlong(float(expected[axis]), float(power[axis]), math.sqrt(chance[axis] * (chance[axis] + in_phase)))
+def _joint_power(others: Sequence[_Spectrum], peak: _Peak, amplitude_box: Floats) -> _JointPower:
+    """Return the power of a line with amplitudes (3,) along the axes of the box in the spectra of sensors, with the
+    weights of least squares.
+    """
+    square = product = variance = 0.0
+    for other in others:
+        expected = (np.abs(np.array(other.header.orientation)).T @ amplitude_box) ** 2 / 2
+        power, chance = other.power(peak)
+        known = chance > 0
+        weight = np.divide(expected, chance**2, out=np.zeros(3), where=known)
+        in_phase = 2 * expected / math.sqrt(max(other.spectrum.segments, 1))  # noise in phase with the line
+        square += float(weight @ expected)
+        product += float(weight @ power)
+        variance += float(weight**2 @ (chance * (chance + in_phase)))
+    if not square > 0:
+        return _JointPower(math.nan, math.nan, math.inf)
+    return _JointPower(product / square, math.sqrt(variance) / square, 1 / math.sqrt(square))
