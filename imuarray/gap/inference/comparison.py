@@ -34,7 +34,7 @@ import numpy as np
 
 from imuarray.array import recorded_sensors
 from imuarray.arrays import Floats, Indices
-from imuarray.gap.inference.assessment import Assessment, Localisation, assess, largest_of, localise
+from imuarray.gap.inference.assessment import Assessment, Localisation, assess, largest_of, localise, p_value
 from imuarray.gap.model.ambient_lines import fit_ambient_lines
 from imuarray.gap.model.base_model import Base, fit, select_fitted
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
@@ -194,9 +194,10 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
 
 
 ENOUGH: Mapping[int, float] = MappingProxyType({20: 0.35, 28: 0.28, 40: 0.22, 64: 0.16, 96: 0.13})
-"""Numbers of replicates after which no more are simulated if the p-value exceeds the limit. The limits never rise, and
-are so far above `LEVEL` that hardly a gap is missed: a gap that all replicates would detect at p = 0.05 is missed in
-less than one of two hundred cases.
+"""Numbers of replicates after which no more are simulated if the p-values of single scores and of all scores exceed the
+limit. The limits are so far above `LEVEL` that a gap that all replicates would detect at p = 0.05 by the same scores is
+missed in less than one of two hundred cases. More replicates also determine the scatter and the tails of the scores
+better: with 20 of them, pooled scores can mask a single one that is significant after 128.
 """
 
 
@@ -405,10 +406,8 @@ def compare_with_base(
     Uses this number of `replicates`, or fewer if they show that the recording is well within chance (`ENOUGH`) or far
     beyond it (`CLEAR`; p is then the least value for that number, which is larger than after all replicates). The
     p-value is that of a sequential Monte Carlo test, which continues only as long as the recording is among the most
-    extreme (Besag and Clifford, Biometrika 78, 1991). The test is valid: a recording without a gap has p <= a in at
-    most a share a of all cases. Proof: consider the first look that may end at p <= a. Earlier looks ended only at
-    larger p, because the limits of `ENOUGH` never rise. At this look the test ends at p <= a, or continues, only if the
-    p-value of the look, which is exact, is at most a.
+    extreme (Besag and Clifford, Biometrika 78, 1991). The test is valid: after all replicates the p-value is exact, an
+    earlier end well within chance only makes small p-values rarer, and a recording without a gap is hardly ever clear.
     """
     real, pairs = bench.observed(campaign, bench.base.fitted), bench.pairs()
     real = real if earlier is None else earlier.without_discrepancy(real)
@@ -424,7 +423,8 @@ def compare_with_base(
         normal = normal_scores_by_others(scores, pairs.keys)
         where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
         largest = largest_of(normal)
-        if is_decided(count, where.p, float(largest[0]), float(largest[1:].max())):
+        p = min(where.p, p_value(float(largest[0]), largest[1:]))
+        if is_decided(count, p, float(largest[0]), float(largest[1:].max())):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
