@@ -14,12 +14,13 @@ and temperatures if the logs contain them. A **simulator** makes recordings of t
   thermometers if that is longer than usual (`model.element_temperature`); the delay of a signal in a chip's filter and
   in its decimation, and the offset of the times of rows due to a queue, or between the clocks of the sensors and of a
   track (`model.signal_delay`); and lines of the surroundings, which several sensors of a quantity measure alike, or
-  which are faint lines of accelerometers (`model.ambient_lines`). The following are drawn anew for every replicate: the
-  phase and rate of the data clock (`model.data_clock`), the scatter of biases from one power-on to the next, the
-  position of an accelerometer, nonlinearity, the slope of the scale over temperature, the curvature of a bias over
-  temperature, slopes that the temperatures of the recording do not determine, usual flicker in long phases, a bias that
-  all accelerometers have in common, and the course of an unrecorded room temperature (`model.room_temperature`). Their
-  estimates are reported as **pulls**, value over tolerance (`model.nuisance`), and are not causes;
+  which are faint lines of accelerometers that the others together would not show (`model.ambient_lines`). The
+  following are drawn anew for every replicate: the phase and rate of the data clock (`model.data_clock`), the scatter
+  of biases from one power-on to the next, the position of an accelerometer, nonlinearity, the slope of the scale over
+  temperature, the curvature of a bias over temperature, slopes that the temperatures of the recording do not determine,
+  usual flicker in long phases, a bias that all accelerometers have in common, and the course of an unrecorded room
+  temperature (`model.room_temperature`). Their estimates are reported as **pulls**, value over tolerance
+  (`model.nuisance`), and are not causes;
 * **effects** e with parameters eta, a place (sensor, axes, family or all) and a time (always, from a moment on, in
   some logs, in stretches): the simulator may lack an effect that the sensors have, or have one that they lack
   (`inference.effects`).
@@ -50,7 +51,9 @@ the moments of its rows, and differences count only beyond wide margins.
 **Pooled scores** (`statistics.pooled`). The norm of the amounts by which the normal scores of a sensor exceed one
 standard deviation is formed for each log and for all logs, and compared with chance like a single score: an effect that
 changes tens of statistics a little is significant there before it is in a single one. The scores of a response to
-motion are also summed over the axes of a sensor, which a delay or another position shifts alike.
+motion, which a delay or another position shifts alike on all axes, and those of slow changes are also summed over the
+axes of a sensor. Each domain of statistics has the same share of the level, and pools and sums a smaller one: the few
+statistics over temperature, in motion or of time are not masked by the thousands of the noise of phases.
 
 **Localisation** (`inference.assessment`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
 by the largest normal score among siblings, against the same maximum over the replicates (Westfall and Young 1993;

@@ -8,7 +8,7 @@ import pytest
 
 from imuarray.gap.inference.assessment import localise, p_value
 from imuarray.gap.statistics.catalogue import Key
-from imuarray.gap.statistics.pooled import BEYOND, FEWEST_PLACES, PooledScores, pooled_scores
+from imuarray.gap.statistics.pooled import BEYOND, FEWEST_PLACES, PooledScores, equal_shares, pooled_scores
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.log.format import SensorHeader
 from tests.selection import some
@@ -116,12 +116,37 @@ def test_places_without_a_value_have_no_weight() -> None:
     assert p_of(pooled) > 0.05
 
 
-def test_the_largest_pooled_scores_equal_those_of_single_statistics() -> None:
-    """Median and 90 % quantile of a campaign's largest score, for any number and tails of pools."""
+def test_each_domain_has_the_same_share_of_the_level() -> None:
+    """Half of the statistics are of codes, a quarter of levels and a quarter of noise: 3 in a quarter is as rare as the
+    root of 9 + 2 ln 4. Statistics without a value do not count.
+    """
+    scores = np.full((2, len(ALL)), -3.0)
+    shares = equal_shares(scores, ALL)
+    np.testing.assert_allclose(shares[:, [0, 21, 42, 63]], [[3.2228, 3.2228, 3.4311, 3.4311]] * 2, rtol=1e-4)
+    scores[:, :21] = np.nan
+    np.testing.assert_allclose(equal_shares(scores, ALL)[:, 21:], np.sqrt(9 + 2 * np.log(3)))
+
+
+def test_the_largest_pooled_scores_have_a_share_of_the_level_of_single_statistics() -> None:
+    """Median and 90 % quantile of a campaign's largest score, for any number and tails of pools: z of a pool is as rare
+    as the root of z^2 + 2.408 of a single score, whose share is 1 / 0.3 times as large.
+    """
     heavy = np.random.default_rng(9).standard_t(4, size=(41, len(ALL)))
     pooled = np.abs(pooled_scores(heavy, ALL).scores).max(axis=1)
-    single = np.abs(heavy).max(axis=1)
-    np.testing.assert_allclose(np.quantile(pooled, [0.5, 0.9]), np.quantile(single, [0.5, 0.9]), rtol=1e-6)
+    single = equal_shares(heavy, ALL).max(axis=1)
+    quantiles = np.quantile(pooled, [0.5, 0.9])
+    np.testing.assert_allclose(np.sqrt(quantiles**2 + 2.408), np.quantile(single, [0.5, 0.9]), rtol=1e-4)
+
+
+def test_a_slow_change_of_all_axes_is_summed() -> None:
+    """2.5 in the mean of each half on three axes is 4.3 together; in the noise, whose axes are independent, 2.5."""
+    slow = [*keys("noise", phases=60), *keys("mean_halves", phases=1)]
+    scores = np.random.default_rng(4).standard_normal((41, len(slow)))
+    scores[0] = 0.0
+    scores[0, :3] = 2.5
+    assert p_of(pooled_scores(scores, slow)) > 0.2
+    scores[0] = np.roll(scores[0], -3)
+    assert p_of(pooled_scores(scores, slow)) == pytest.approx(1 / 41)
 
 
 def test_the_tree_names_the_strongest_place() -> None:

@@ -24,7 +24,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
-from imuarray.gap.statistics.pooled import PooledScores
+from imuarray.gap.statistics.pooled import PooledScores, equal_shares
 from imuarray.gap.statistics.synthetic_likelihood import FORM, SyntheticLikelihood, likelihood_of
 from imuarray.gap.statistics.tails import NO_TAILS, Tails, normal_scores_by_others, tails_of
 from imuarray.log.format import SensorHeader
@@ -152,7 +152,7 @@ def localise(
     level: float = LEVEL,
 ) -> Localisation:
     """Localise the gap by the scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled`
-    scores of the recording and of the replicates.
+    scores of the recording and of the replicates. Each domain has the same share of the level (`equal_shares`).
 
     `level` is the share of false alarms; ValueError if there are too few replicates for it.
     """
@@ -161,12 +161,13 @@ def localise(
         raise ValueError(f"replicates: {len(chance)} were scored; a share of false alarms of {level:g} needs {fewest}")
     paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
     limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
+    sizes = equal_shares(np.vstack([scores, chance]), keys)
     if pooled is not None:
         paths += [paths[at] for at in pooled.places.tolist()]
-        scores, chance = np.append(scores, pooled.scores[0]), np.hstack([chance, pooled.scores[1:]])
-    root = _Tree(paths, scores, chance, level).root()
+        sizes = np.hstack([sizes, pooled.scores])
+    root = _Tree(paths, sizes[0], sizes[1:], level).root()
     significant = {int(node.path[-1]): node.p for node in root.significant("statistic")}
-    order = sorted(significant, key=lambda at: -abs(scores[at]))
+    order = sorted(significant, key=lambda at: -sizes[0, at])
     return Localisation(root, {at: significant[at] for at in order}, limit)
 
 
@@ -178,12 +179,10 @@ def p_value(value: float, chance: Floats) -> float:
 
 
 class _Tree:
-    """Scores (n,) and those of chance (b, n), each at the end of a path."""
+    """Sizes (n,) of scores and those of chance (b, n), each at the end of a path."""
 
-    def __init__(self, paths: Sequence[tuple[str, ...]], scores: Floats, chance: Floats, level: float) -> None:
-        self.scores = scores
-        self._paths, self._level = paths, level
-        self._sizes, self._chance = np.nan_to_num(np.abs(scores)), np.nan_to_num(np.abs(chance))
+    def __init__(self, paths: Sequence[tuple[str, ...]], sizes: Floats, chance: Floats, level: float) -> None:
+        self._paths, self._level, self._sizes, self._chance = paths, level, sizes, chance
 
     def root(self) -> Node:
         """Return the node of the whole array, which has no siblings."""

@@ -51,7 +51,7 @@ from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, scores_by_others
-from imuarray.gap.statistics.pooled import pooled_scores
+from imuarray.gap.statistics.pooled import equal_shares, pooled_scores
 from imuarray.gap.statistics.split import Split, split_of
 from imuarray.gap.statistics.tails import normal_scores_by_others
 from imuarray.log.format import Phase
@@ -422,8 +422,8 @@ def compare_with_base(
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
         where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
-        largest = largest_of(normal)
-        p = min(where.p, p_value(float(largest[0]), largest[1:]))
+        singles, largest = largest_of(equal_shares(normal, pairs.keys)), largest_of(normal)
+        p = min(where.p, p_value(float(singles[0]), singles[1:]))
         if is_decided(count, p, float(largest[0]), float(largest[1:].max())):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)

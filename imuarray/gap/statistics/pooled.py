@@ -11,7 +11,12 @@ fit shifts many of them. Statistics are not independent, since they share the no
 therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
 
 The response to motion of a sensor that is late, or mounted at another place in the box, deviates in the same direction
-on all of its axes. The scores of each statistic of a motion are therefore also summed over the axes.
+on all of its axes, and so does a slow change of a supply or of a reference. The scores of each statistic of a motion,
+and those of `SLOW` statistics, are therefore also summed over the axes.
+
+Statistics of a domain with few of them, such as those over temperature, would be masked by the thousands that describe
+the noise of each phase. Each domain has the same share of the level (`equal_shares`), and pools and sums together have
+a smaller one than the single statistics (`_WEIGHT`).
 """
 
 from __future__ import annotations
@@ -48,12 +53,22 @@ _LEAST_STRETCH = 0.1
 """Least difference between the two quantiles that is assumed: a few pooled scores may be equal in all campaigns."""
 
 
+SLOW = frozenset({"mean_halves", "wander", "slow_between_axes"})
+"""Statistics of slow changes whose scores are summed over the axes of a sensor."""
+
+_WEIGHT = 0.3
+"""Share of the level of single scores that pools and sums have. With equal weights, effects that a single statistic
+shows had twice the p-value that they have without pools.
+"""
+
+
 class PooledScores(NamedTuple):
     """Scores (b, k) of k pools and sums in b campaigns, and for each the place (k,) of the single statistic that
     deviates most in the first campaign.
 
-    They are comparable with the normal scores of single statistics: the largest score of a campaign has the same median
-    and the same 90 % quantile, so that neither kind masks the other.
+    They are comparable with the scores that `equal_shares` returns for single statistics: the largest score of a
+    campaign has the same median and the same 90 % quantile before it is reduced by `_WEIGHT`, so that neither kind
+    masks the other.
     """
 
     scores: Floats
@@ -66,26 +81,40 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
     Each campaign is scored against the others: if all have the same distribution, each is equally likely to be the most
     extreme.
     """
-    sizes = np.nan_to_num(np.abs(normal))
+    sizes, singles = np.nan_to_num(np.abs(normal)), equal_shares(normal, keys)
     excess = np.maximum(sizes - BEYOND, 0.0)
-    pools, axes = list(_pools(keys)), list(_motion_axes(keys))
+    pools, axes = list(_pools(keys)), list(_shared_axes(keys))
     scores = [np.zeros((len(normal), 0))]
     if pools:
         norms = np.stack([np.linalg.norm(excess[:, places], axis=1) for places in pools], axis=1)
-        scores.append(_with_largest_of(_standardise_by_others(norms, _LEAST_SPREAD), sizes))
+        scores.append(_with_largest_of(_standardise_by_others(norms, _LEAST_SPREAD), singles))
     if axes:
         sums = [np.nan_to_num(normal[:, places]).sum(axis=1) / np.sqrt(len(places)) for places in axes]
         standardised = _standardise_by_others(np.stack(sums, axis=1), _LEAST_SPREAD_OF_SUMS)
-        scores.append(_with_largest_of(np.abs(standardised), sizes))
+        scores.append(_with_largest_of(np.abs(standardised), singles))
     strongest = [places[int(sizes[0, places].argmax())] for places in (*pools, *axes)]
     return PooledScores(np.concatenate(scores, axis=1), np.array(strongest, np.intp))
 
 
-def _motion_axes(keys: Sequence[Key]) -> Iterator[Indices]:
-    """Yield, for each statistic of the response to a motion, its places on all axes of a sensor."""
+def equal_shares(normal: Floats, keys: Sequence[Key]) -> Floats:
+    """Return the absolute normal scores (b, m) of b campaigns for m keys, raised so that each domain has the same share
+    of the level, whatever the number of its statistics.
+
+    The probability that one of n scores exceeds z is about n exp(-z^2 / 2). A domain with k of n statistics therefore
+    has z^2 + 2 ln(n / k) instead of z^2 (a weighted Bonferroni test: Holm, Scand. J. Stat. 6, 1979).
+    """
+    known = np.isfinite(normal).any(axis=0)
+    _, domains = np.unique([key.domain for key in keys], return_inverse=True)
+    counts = np.bincount(domains, weights=known)
+    raised = 2 * np.log(max(known.sum(), 1) / np.maximum(counts, 1))
+    return np.asarray(np.sqrt(np.nan_to_num(normal) ** 2 + raised[domains]))
+
+
+def _shared_axes(keys: Sequence[Key]) -> Iterator[Indices]:
+    """Yield, for each statistic of the response to a motion and each slow one, its places on all axes of a sensor."""
     by_statistic: dict[tuple[int, str, int, str], list[int]] = {}
     for at, key in enumerate(keys):
-        if key.domain == "motion":
+        if key.domain == "motion" or key.probe in SLOW:
             by_statistic.setdefault((key.log, key.sensor, key.phase_number, key.probe), []).append(at)
     yield from (np.array(places, np.intp) for places in by_statistic.values() if len(places) > 1)
 
@@ -115,9 +144,10 @@ def _standardise_by_others(values: Floats, least: float) -> Floats:
 
 def _with_largest_of(scores: Floats, singles: Floats) -> Floats:
     """Return the scores (b, k), scaled and shifted so that the largest of each campaign has the same `_QUANTILES` as
-    the largest of `singles` (b, m); negative results are set to 0.
+    the largest of `singles` (b, m), and reduced to their share of the level; negative results are set to 0.
     """
     middle, high = np.quantile(scores.max(axis=1), _QUANTILES)
     single_middle, single_high = np.quantile(singles.max(axis=1), _QUANTILES)
     stretch = (single_high - single_middle) / max(high - middle, _LEAST_STRETCH)
-    return np.asarray(np.maximum(single_middle + stretch * (scores - middle), 0.0))
+    equal = np.maximum(single_middle + stretch * (scores - middle), 0.0)
+    return np.asarray(np.sqrt(np.maximum(equal**2 + 2 * np.log(_WEIGHT), 0.0)))
