@@ -92,10 +92,20 @@ NUMBERS = 1.0
 needs both parts gains the mean of their gains, and an event lies in one part.
 """
 
+_CHOSEN_EVENTS = 4
+"""Largest number of events that cost a number each."""
+
 _SHARE = 0.2
 """Least share of the time of an effect in each part of the campaign: with less, a part does not determine the
 effect.
 """
+
+
+def rarity_of_events(count: int) -> float:
+    """Return the nats by which an effect at this many known moments is rarer than one without moments. From a few
+    events on, the moments do not matter: others of the same frequency explain the statistics as well.
+    """
+    return NUMBERS * min(count, _CHOSEN_EVENTS)
 
 
 def in_logs(logs: Collection[int]) -> When:

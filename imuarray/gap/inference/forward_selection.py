@@ -337,16 +337,25 @@ def _evaluate(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis, c
     out = bench.held_out[columns]
     gains = gains_of(standing, likelihood, shift)
     train_gain, gain = (float(gains[part].sum()) - misfit for part in (~out, out))
-    if hypothesis.trial.needs_both:
-        gain = (train_gain + gain) / 2 - BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
     touched = affected_mask(before, likelihood, shift)
     independent = independent_share(likelihood.scores(values)[:, touched]) if touched.any() else standing.independent
     state = replace(changed, likelihood=likelihood)
+    if independent > standing.independent and min(train_gain, gain) > WORTH:
+        hypothesis = replace(hypothesis, trial=_shown_by_each_part(hypothesis.trial))
+    if hypothesis.trial.needs_both:
+        gain = (train_gain + gain) / 2 - BRIEF
     counted = np.ones_like(out) if hypothesis.trial.needs_both else out
     squared_scores = _squares(scores_by_wider(before, likelihood, standing.real)[counted])
     closes = squared_scores <= _squares(standing.scores[counted])
     return Evaluation(hypothesis, state, train_gain, gain, share, independent, closes, squared_scores)
+
+
+def _shown_by_each_part(trial: Hypothesis) -> Hypothesis:
+    """Return a trial that each part shows by itself: if its events recur in both, it does not need both. What the
+    choice of their moments costs is part of its rarity.
+    """
+    return replace(trial, whole=False, rarity=trial.rarity + 2 * BRIEF) if trial.whole else trial
 
 
 def look_in_turns(

@@ -86,7 +86,8 @@ def test_held_rows_are_reproduced(made: Made, sensor: str, kind: str, has_readin
     (effect,) = trial.effects
     assert isinstance(effect, Stuck)
     assert effect.kind == kind
-    assert trial.rarity == len(effect.moments_s) > 0  # two numbers each, half of which each part determines
+    assert trial.rarity == min(len(effect.moments_s), 4)  # a nat each; of more the moments do not matter
+    assert trial.rarity > 0
     _, recording, _, campaign = made
     simulated = again(made, sensor, effect).sensors[sensor]
     block = simulated.block(0, simulated.rows)

@@ -11,7 +11,16 @@ import numpy as np
 from imuarray.arrays import Integers
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.timing import mean_of, odd_lags, repeated_rows
-from imuarray.gap.inference.evidence import NUMBERS, SINGLE, Evidence, PhaseEvidence, Repetition, Span, stretches
+from imuarray.gap.inference.evidence import (
+    NUMBERS,
+    SINGLE,
+    Evidence,
+    PhaseEvidence,
+    Repetition,
+    Span,
+    rarity_of_events,
+    stretches,
+)
 from imuarray.gap.statistics.probes.probe import noise_lsb
 from imuarray.gap.statistics.summary import Summary
 from imuarray.simulate.effect import FOREVER_S
@@ -117,7 +126,7 @@ def _glitches_alone(evidence: Evidence) -> Iterator[Hypothesis]:
         moments_s=tuple(hit.moment_s for hit in hits),
         jumps=tuple(jumps),
     )
-    yield Hypothesis((effect,), whole=True, rarity=NUMBERS * len(hits))
+    yield Hypothesis((effect,), whole=True, rarity=rarity_of_events(len(hits)))
 
 
 def _hits(phase: PhaseEvidence) -> Iterator[_Hit]:
@@ -315,7 +324,7 @@ def _stuck_alone(evidence: Evidence) -> Iterator[Hypothesis]:
     if not _FEWEST_STRETCHES <= len(repeated) <= SINGLE:
         return
     readings = tuple(count / evidence.header.sensitivity for repetition in repeated for count in repetition.counts)
-    kind, rarity = _kind_of_rows(evidence), NUMBERS * len(repeated)
+    kind, rarity = _kind_of_rows(evidence), rarity_of_events(len(repeated))
     alone = stretches([repetition.span for repetition in repeated])
     yield Hypothesis((Stuck(kind=kind, **alone),), whole=True, rarity=rarity)
     with_first = stretches([_with_first_reading(repetition) for repetition in repeated])

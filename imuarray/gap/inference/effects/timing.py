@@ -11,7 +11,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.chips import CHIPS
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.evidence import NUMBERS, SINGLE, Evidence, PhaseEvidence, Span, stretches
+from imuarray.gap.inference.evidence import SINGLE, Evidence, PhaseEvidence, Span, rarity_of_events, stretches
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.motion import along, quadrature, residual
 from imuarray.gap.statistics.summary import Summary
@@ -386,7 +386,7 @@ def _rows_lost_alone(evidence: Evidence) -> Iterator[Hypothesis]:
     holes = evidence.holes
     if not 0 < len(holes) <= SINGLE:
         return
-    yield Hypothesis((DroppedSamples(**stretches(holes)),), whole=True, rarity=NUMBERS * len(holes))
+    yield Hypothesis((DroppedSamples(**stretches(holes)),), whole=True, rarity=rarity_of_events(len(holes)))
 
 
 def _interval_s(evidence: Evidence) -> float:
