@@ -216,7 +216,8 @@ def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switch
 
 
 def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
-    """`open_array` from the parameters of a URL such as ``emulated:?clock=real&world=tumble&face_s=10``.
+    """Open an array as `open_array` does, from the parameters of a URL such as
+    ``emulated:?clock=real&world=tumble&face_s=10``.
 
     `board` may name the file of `array`. ValueError, one line that states what is allowed, for an unknown parameter or
     value.

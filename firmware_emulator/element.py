@@ -74,7 +74,7 @@ class UnitDeviations:
 
 
 def product(a: Matrix, b: Matrix) -> Matrix:
-    """a @ b."""
+    """Return a @ b."""
     columns = transposed(b)
     x, y, z = (applied(columns, row) for row in a)
     return x, y, z

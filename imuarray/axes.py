@@ -57,6 +57,6 @@ def face_up(phase: str) -> str:
 
 
 def _parity(permutation: list[int]) -> int:
-    """+1 for an even permutation of 0, 1, 2, -1 for an odd one."""
+    """Return +1 for an even permutation of 0, 1, 2, -1 for an odd one."""
     swaps = sum(permutation[i] > permutation[j] for i in range(3) for j in range(i + 1, 3))
     return -1 if swaps % 2 else 1

@@ -94,7 +94,7 @@ class Barometer(NamedTuple):
 
 
 def compensate(ut: Integers, up: Integers, words: Words, oversampling: int) -> tuple[Floats, Floats]:
-    """Temperature (n,) in degC and pressure (n,) in Pa from the uncompensated readings (BMP-60 ... BMP-63)."""
+    """Return temperature (n,) in degC and pressure (n,) in Pa from the uncompensated readings (BMP-60 ... BMP-63)."""
     b5 = _b5(ut, words)
     return (b5 + 8 >> 4) / 10.0, _pressure(up, b5, words, oversampling).astype(np.float64)
 
@@ -157,8 +157,8 @@ _WORD_BITS = 20
 
 
 def compensate_bmp280(ut: Integers, up: Integers, words: Words) -> tuple[Floats, Floats]:
-    """Temperature (n,) in degC, steps of 0.01, and pressure (n,) in Pa, steps of 1/256, by the 64-bit formula (BMP-121,
-    BMP-122).
+    """Return the temperature (n,) in degC, steps of 0.01, and pressure (n,) in Pa, steps of 1/256, by the 64-bit
+    formula (BMP-121, BMP-122).
     """
     fine = fine_temperature_bmp280(ut, words)
     return (fine * 5 + 128 >> 8) / 100.0, pressure_bmp280(up, fine, words) / 256.0
@@ -200,8 +200,8 @@ _RAW_BITS_BMP388 = 24
 
 
 def compensate_bmp388(ut: Integers, up: Integers, words: Words) -> tuple[Floats, Floats]:
-    """Temperature (n,) in degC and pressure (n,) in Pa, both in steps of 0.01, by the integers of the manufacturer's
-    driver (BMP-221).
+    """Return the temperature (n,) in degC and pressure (n,) in Pa, both in steps of 0.01, by the integers of the
+    manufacturer's driver (BMP-221).
     """
     fine = fine_temperature_bmp388(ut, words)
     return _quotient(fine * 25, 16384) / 100.0, pressure_bmp388(up, fine, words) / 100.0

@@ -12,7 +12,7 @@ class Clock(Protocol):
     """A clock for the polling loop and the drivers."""
 
     def now_ns(self) -> int:
-        """Nanoseconds since an arbitrary start; never decreases."""
+        """Return the nanoseconds since an arbitrary start; they never decrease."""
 
     def sleep_until(self, at_ns: int) -> None:
         """Return when `now_ns()` has reached `at_ns`; immediately if it already has."""
@@ -22,7 +22,7 @@ class MonotonicClock:
     """CLOCK_MONOTONIC of this machine."""
 
     def now_ns(self) -> int:
-        """Nanoseconds since about the boot of the machine."""
+        """Return the nanoseconds since about the boot of the machine."""
         return time.monotonic_ns()
 
     def sleep_until(self, at_ns: int) -> None:

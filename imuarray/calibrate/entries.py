@@ -97,12 +97,12 @@ def _readers(kind: type) -> Mapping[str, Reader]:
 
 
 def table(kind: type[T]) -> Reader:
-    """A reader of one table."""
+    """Return a reader of one table."""
     return lambda value, where: read_table(value, where, kind)
 
 
 def tables(kind: type[T]) -> Reader:
-    """A reader of an array of tables, into a tuple."""
+    """Return a reader of an array of tables, into a tuple."""
 
     def read(value: object, where: EntryPlace) -> tuple[T, ...]:
         return tuple(read_table(entry, where.entry(i), kind) for i, entry in enumerate(_list(value, where), 1))
@@ -111,7 +111,7 @@ def tables(kind: type[T]) -> Reader:
 
 
 def named_tables(kind: type[T], allowed: tuple[str, ...]) -> Reader:
-    """A reader of a table of tables whose names are among `allowed`."""
+    """Return a reader of a table of tables whose names are among `allowed`."""
 
     def read(value: object, where: EntryPlace) -> dict[str, T]:
         if not isinstance(value, dict) or not set(value) <= set(allowed):
@@ -122,7 +122,9 @@ def named_tables(kind: type[T], allowed: tuple[str, ...]) -> Reader:
 
 
 def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unknown: bool = False) -> Reader:
-    """A reader of an array of numbers from `lowest` to `highest`; nan (not known) is allowed if `unknown` is true."""
+    """Return a reader of an array of numbers from `lowest` to `highest`; nan (not known) is allowed if `unknown` is
+    true.
+    """
 
     def read(value: object, where: EntryPlace) -> Floats:
         array = _array(value, shape)
@@ -152,7 +154,7 @@ def _is_number(value: object) -> bool:
 
 
 def covariance(size: int) -> Reader:
-    """A reader of a covariance (size, size): symmetric, no negative variance in any direction."""
+    """Return a reader of a covariance (size, size): symmetric, no negative variance in any direction."""
 
     def read(value: object, where: EntryPlace) -> Floats:
         matrix = np.asarray(numbers(size, size)(value, where))
@@ -165,7 +167,7 @@ def covariance(size: int) -> Reader:
 
 
 def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
-    """A reader of one number from `lowest` to `highest`, which is not converted."""
+    """Return a reader of one number from `lowest` to `highest`, which is not converted."""
 
     def read(value: object, where: EntryPlace) -> object:
         if not (_is_number(value) and lowest <= value <= highest):  # type: ignore[operator]
@@ -176,14 +178,14 @@ def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
 
 
 def whole(value: object, where: EntryPlace) -> int:
-    """A reader of a whole number from 0 to a million."""
+    """Return a reader of a whole number from 0 to a million."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _HUGE:
         raise CalibrationError(f"{where}: a whole number is required")
     return value
 
 
 def text(*allowed: str, empty: bool = False) -> Reader:
-    """A reader of a text, one of `allowed` if any are named."""
+    """Return a reader of a text, one of `allowed` if any are named."""
 
     def read(value: object, where: EntryPlace) -> str:
         if not isinstance(value, str) or not (value or empty) or (allowed and value not in allowed):
@@ -195,7 +197,7 @@ def text(*allowed: str, empty: bool = False) -> Reader:
 
 
 def several(reader: Reader, count: int | None = None) -> Reader:
-    """A reader of a list, into a tuple, of `count` entries unless that is None."""
+    """Return a reader of a list, into a tuple, of `count` entries unless that is None."""
 
     def read(value: object, where: EntryPlace) -> tuple[object, ...]:
         entries = _list(value, where)

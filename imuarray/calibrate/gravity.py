@@ -358,7 +358,7 @@ def fit_gravity(
 
 
 def fit_readings(all_readings: PoseReadings, progress: Callable[[int], None] = lambda done: None) -> GravityFit:
-    """`fit_gravity` from readings instead of logs."""
+    """Calibrate as `fit_gravity` does, from readings instead of logs."""
     sensors, poses = all_readings.sensors, all_readings.poses
     separated = separated_poses(poses) if all_readings.one_run else {}
     reasons = {**(separated if len(poses) - len(separated) >= MIN_POSES else {}), **moving_poses(all_readings)}

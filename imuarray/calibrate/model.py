@@ -277,7 +277,7 @@ class SensorCalibration:
     )
 
     def measured(self) -> tuple[str, ...]:
-        """The groups of figures that were measured."""
+        """Return the groups of figures that were measured."""
         return tuple(group for group, names in GROUPS.items() if getattr(self, names[0]) is not None)
 
     def bias_at(self, temperature_degc: npt.ArrayLike) -> Floats:

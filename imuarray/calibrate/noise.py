@@ -132,9 +132,7 @@ class _Grid(NamedTuple):
         return float(self.times[int(profile.argmax())]), np.array(ends)
 
     def _joint(self) -> Floats:
-        """Return the log likelihood (t, u, k) of all axes, with the other axes at their maximum for the time
-        constant.
-        """
+        """Return log likelihood (t, u, k) of all axes, with the other axes at their maximum for the time constant."""
         best = self.log_likelihood.max(axis=1)
         of_others = best.sum(axis=1, keepdims=True) - best
         return np.asarray(self.log_likelihood + of_others[:, None, :])
@@ -276,12 +274,12 @@ class _PooledSquares:
         self._squares_squares += (squares**2).sum(axis=0)
 
     def rms_lsb(self) -> Floats:
-        """Standard deviation of single readings."""
+        """Return the standard deviation of single readings."""
         return np.asarray(np.sqrt(self._squares / self.freedom))
 
     def rms_sem_lsb(self) -> Floats:
-        """Standard error of `rms_lsb`, from the scatter of the segments' variances, which needs no assumption on
-        correlation or distribution.
+        """Return the standard error of `rms_lsb`, from the scatter of the segments' variances, which needs no
+        assumption on correlation or distribution.
         """
         variance = self._squares / self.freedom
         if self._segments < _ENOUGH_SEGMENTS:

@@ -124,7 +124,7 @@ def _add_pulses(row: SensorAlignment, pulses: PulseOffset | None) -> SensorAlign
 
 
 def _rate_hz(sensor: SensorLog) -> float:
-    """Rows per second: of the median of `_PIECES` equal pieces, because pieces with gaps have fewer rows."""
+    """Return the rows per second: of the median of `_PIECES` equal pieces, because pieces with gaps have fewer rows."""
     edges = np.linspace(0, len(sensor) - 1, min(_PIECES, len(sensor) // 16) + 1).astype(int)
     times_ns = np.array([int(sensor.time[edge]) for edge in edges.tolist()], np.int64)
     return float(np.median(np.diff(edges) / (np.diff(times_ns) * 1e-9)))
@@ -195,7 +195,7 @@ def _motion_from_ns(gyroscope: SensorLog) -> int | None:
 
 
 def _delays(gyroscopes: Sequence[SensorLog], start_ns: int) -> dict[str, tuple[float, float]]:
-    """Delay and standard error of each gyroscope against the first, by name; empty if the motion is too weak."""
+    """Return delay and standard error of each gyroscope against the first, by name; empty if the motion is too weak."""
     end_ns = start_ns + round(WINDOW_S * 1e9)
     reference_s, reference = _rates(gyroscopes[0], start_ns, end_ns)
     if len(reference_s) < LEAST_ROWS or not _is_strong(reference_s, reference):
@@ -233,7 +233,9 @@ def _is_strong(times_s: Floats, rates: Floats) -> bool:
 
 
 def _delay(reference_s: Floats, reference: Floats, times_s: Floats, rates: Floats) -> tuple[float, float]:
-    """Delay of `rates` (m, 3) at `times_s` (m,) after `reference` (n, 3) at `reference_s` (n,), and standard error."""
+    """Return the delay of `rates` (m, 3) at `times_s` (m,) after `reference` (n, 3) at `reference_s` (n,), and standard
+    error.
+    """
     derivative = np.gradient(reference, reference_s, axis=0)
     delay_s, error_s = 0.0, math.inf
     for _ in range(_FITS):

@@ -66,7 +66,8 @@ _DOT = 8192
 
 
 def running_sum(values: Values) -> Floats:
-    """0 and the running sum (n + 1,) of the distance of `values` (n,) from a reference; ValueError if not finite.
+    """Return 0 and the running sum (n + 1,) of the distance of `values` (n,) from a reference; ValueError if not
+    finite.
 
     The reference does not change second differences. For whole numbers with an exact sum in float64 it is a whole
     number; otherwise it is the mean, which keeps the sum small.
@@ -273,7 +274,7 @@ def _factors(rows: int, factors: Sequence[int] | None) -> list[int]:
 
 
 def _moments(phase: npt.NDArray[Any], factors: Sequence[int]) -> DifferenceMoments:
-    """Sums of squares, averages and kurtosis of the column with this running sum."""
+    """Return the sums of squares, averages and kurtosis of the column with this running sum."""
     changes = ChangeMoments()
     for start in range(0, len(phase) - 1, _BLOCK):
         changes.feed(np.diff(phase[start : start + _BLOCK + 1]))
@@ -458,5 +459,5 @@ class _Stride:
         self._filled = self._done = count
 
     def averages(self) -> npt.NDArray[np.float64]:
-        """Sums over one stride, the first ones."""
+        """Return the sums over one stride, the first ones."""
         return np.diff(np.concatenate(self._first))

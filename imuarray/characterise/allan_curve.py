@@ -42,7 +42,8 @@ _REACH = 32
 
 @cache
 def degrees_of_freedom(noise: Noise, factor: int, terms: int, stride: int = 1) -> float:
-    """Equivalent degrees of freedom of an overlapping Allan variance: `terms` squares at an averaging `factor`.
+    """Return the equivalent degrees of freedom of an overlapping Allan variance: `terms` squares at an averaging
+    `factor`.
 
     The terms start at every `stride`-th row. Sums over many lags are taken over every step-th of them.
     """
@@ -53,7 +54,7 @@ def degrees_of_freedom(noise: Noise, factor: int, terms: int, stride: int = 1) -
 
 
 def _correlation(noise: Noise, lag: npt.NDArray[np.float64], factor: int) -> npt.NDArray[np.float64]:
-    """Correlation of second differences at lags in units of the averaging factor; ``lag[0]`` is 0.
+    """Return the correlation of second differences at lags in units of the averaging factor; ``lag[0]`` is 0.
 
     The fourth difference of the integrated noise's generalised autocovariance. For white noise and its running sum it
     is exact at every factor; flicker noise is taken as continuous, which is the limit of long factors.
@@ -77,7 +78,7 @@ def _correlation(noise: Noise, lag: npt.NDArray[np.float64], factor: int) -> npt
 
 
 def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise | None:
-    """Noise type of averages (n,) over `factor` values each; None if there are fewer than `MIN_AVERAGES`.
+    """Return the noise type of averages (n,) over `factor` values each; None if there are fewer than `MIN_AVERAGES`.
 
     A straight line is taken out. With the lag-1 autocorrelation r, r / (1 + r) is 0 for white noise and 1/2 for flicker
     noise (Riley and Greenhall, "Power law noise identification using the lag 1 autocorrelation", EFTF 2004); noise with
@@ -96,14 +97,14 @@ def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise 
 
 
 def _detrend(series: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Residual from the least-squares line."""
+    """Return the residual from the least-squares line."""
     at = np.arange(len(series)) - (len(series) - 1) / 2
     centred = series - series.mean()
     return np.asarray(centred - at * (at @ centred / (at @ at)))
 
 
 def _lag1(series: npt.NDArray[np.float64]) -> float:
-    """Lag-1 autocorrelation; 0 for a constant series."""
+    """Return the lag-1 autocorrelation; 0 for a constant series."""
     centred = series - series.mean()
     power = float(centred @ centred)
     return float(centred[1:] @ centred[:-1]) / power if power > 0 else 0.0
@@ -112,7 +113,7 @@ def _lag1(series: npt.NDArray[np.float64]) -> float:
 def interval(
     deviation: npt.NDArray[np.float64], freedom: npt.NDArray[np.float64], confidence: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Ends of the interval of deviations by the chi-squared distribution (SP 1065, "Confidence intervals")."""
+    """Return ends of the interval of deviations by the chi-squared distribution (SP 1065, "Confidence intervals")."""
     from scipy.special import gammaincinv  # the inverse chi-squared distribution; scipy.stats is slow to import
 
     tail = (1 - confidence) / 2
@@ -234,12 +235,13 @@ class ChangeMoments:
 
 
 def octaves(rows: int) -> tuple[int, ...]:
-    """Averaging factors 1, 2, 4, ... up to a third of `rows`; longer averaging times have too few terms."""
+    """Return the averaging factors 1, 2, 4, ... up to a third of `rows`; longer averaging times have too few terms."""
     return tuple(1 << power for power in range(max(rows // 3, 1).bit_length()))
 
 
 def stride_of(factor: int) -> int:
-    """Rows between the starts of the decimated estimator: the largest divisor of `factor` up to an eighth of it.
+    """Return the rows between the starts of the decimated estimator: the largest divisor of `factor` up to an eighth of
+    it.
 
     It is a divisor so that the running sum is needed only at multiples of the stride.
     """

@@ -87,7 +87,8 @@ def merge_similar(runs: Runs) -> Runs:
 
 
 def variances(term: Term, factor: Floats) -> Floats:
-    """Allan variance at averaging factors (t,) of one term whose coefficient is 1, an interval of 1 s assumed.
+    """Return the Allan variance at averaging factors (t,) of one term whose coefficient is 1, an interval of 1 s
+    assumed.
 
     3 Q^2 / tau^2, N^2 / tau, (2 ln 2 / pi) B^2, K^2 tau / 3 and R^2 tau^2 / 2 (IEEE Std 952, annex C). The random walk
     is that of the readings, which step from one to the next: (2 m^2 + 1) / (6 m), which tends to m / 3.
@@ -103,7 +104,7 @@ def variances(term: Term, factor: Floats) -> Floats:
 
 
 def _autocovariance(term: Term, lag: Floats) -> Floats:
-    """Generalised autocovariance of the integrated noise at lags in rows, coefficient and interval 1."""
+    """Return the generalised autocovariance of the integrated noise at lags in rows, coefficient and interval 1."""
     size = np.abs(lag)
     if term == "quantisation":
         return np.asarray(size == 0, float)
@@ -125,7 +126,8 @@ class Sums:
 
 
 def covariance(factors: tuple[int, ...], rows: int, theta: Floats) -> Floats:
-    """Covariance (t, t) of Allan variances of a series of `rows` values; `theta` (5,) squared coefficients by `TERMS`.
+    """Return the covariance (t, t) of Allan variances of a series of `rows` values; `theta` (5,) squared coefficients
+    by `TERMS`.
 
     An interval of 1 s is assumed. Every start counts; the decimated estimator scatters by a hundredth or two more.
     """
@@ -157,7 +159,7 @@ def _sums(factors: tuple[int, ...], rows: int) -> Sums:
 
 
 def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
-    """Covariance of a second difference at distance m with one at distance n that starts `lags` rows later."""
+    """Return covariance of a second difference at distance m with one at distance n that starts `lags` rows later."""
     binomial = (1, -2, 1)
     shifts = np.array([b * n - a * m for a in range(3) for b in range(3)], float)
     signs = np.outer(binomial, binomial).ravel().astype(float)
@@ -266,7 +268,7 @@ class AllanEstimate:
         return listed
 
     def whitener(self, theta: Floats) -> Floats:
-        """Matrix (t, t) that makes the variances uncorrelated and of unit variance if `theta` is the truth.
+        """Return the matrix (t, t) that makes the variances uncorrelated and of unit variance if `theta` is the truth.
 
         A ramp alone has no scatter and quantisation alone hardly any: for both, `_LEAST_SPREAD` is assumed.
         """
@@ -295,7 +297,7 @@ class AllanEstimate:
         return float(np.sum((decorrelated @ roots) ** 2))
 
     def _scatter(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Matrix (t, t) that decorrelates, and standard deviations (t,).
+        """Return the matrix (t, t) that decorrelates, and standard deviations (t,).
 
         A fourth cumulant k of independent readings adds k / (n m m') to the covariance of Allan variances at m and m':
         each is a quadratic form of the n readings whose diagonal is 1 / (n m), but for the ends of the series.
@@ -357,7 +359,7 @@ def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
 
 
 def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple[Floats, float]:
-    """Least squares without negative coefficients, columns scaled alike: all coefficients, and the misfit."""
+    """Solve least squares without negative coefficients, columns scaled alike: all coefficients, and the misfit."""
     included = list(terms)
     theta, scale = np.zeros(design.shape[1]), np.linalg.norm(design[:, included], axis=0)
     columns = design[:, included] / scale
@@ -392,7 +394,7 @@ def interval_of(
 
 
 def _error(estimate: AllanEstimate, theta: Floats, term: int, terms: Sequence[int]) -> float:
-    """Standard error of one squared coefficient if `theta` are the true ones."""
+    """Return the standard error of one squared coefficient if `theta` are the true ones."""
     white = estimate.whitener(theta) @ estimate.design[:, list(terms)]
     scale = np.linalg.norm(white, axis=0)
     at = list(terms).index(term)
@@ -518,7 +520,7 @@ def _coefficient(
     unit: str,
     confidence: float,
 ) -> NoiseTerm:
-    """Value and interval of one term in its unit.
+    """Return the value and interval of one term in its unit.
 
     It comes from the fit with the terms that are needed (and this one) and from that with all of them, so that the
     interval allows for a removed term that is similar to this one. The interval of white noise is the mean of both: in

@@ -293,8 +293,8 @@ class Characterisation:
         )
 
     def coefficient(self, sensor: str, axis: str, term: str = "white") -> Coefficient | None:
-        """White noise density ("white"), bias instability ("flicker") or rate random walk ("random walk") of an axis;
-        None if the log was too short for a fit. LogError for an unknown sensor, axis or term.
+        """Return the white noise density ("white"), bias instability ("flicker") or rate random walk ("random walk") of
+        an axis; None if the log was too short for a fit. LogError for an unknown sensor, axis or term.
         """
         if term not in TERMS:
             raise LogError(f"term {term!r}: allowed are {', '.join(TERMS)}")
@@ -349,7 +349,7 @@ class Characterisation:
         return f"<Characterisation of {len(self.sensors)} sensors of {self.result['log']}, {seconds:.0f} s at rest>"
 
     def _repr_html_(self) -> str:
-        """White noise, bias instability and random walk of each axis, for notebooks."""
+        """Return the white noise, bias instability and random walk of each axis, for notebooks."""
         from imuarray.html_table import html_table
 
         rows = []

@@ -168,7 +168,7 @@ def code_density(distribution: Histogram, span: tuple[int, int] | None = None) -
 
 
 def _moments(distribution: Histogram, n: int) -> tuple[float, float, float, float, float, float]:
-    """Mean, standard deviation (n - 1), skewness and excess kurtosis, each with its standard error."""
+    """Return the mean, standard deviation (n - 1), skewness and excess kurtosis, each with its standard error."""
     origin = int(distribution.codes[0])
     codes = (distribution.codes - origin).astype(np.float64)
     mean = float(distribution.counts @ codes) / n
@@ -196,7 +196,7 @@ def _frequent(distribution: Histogram, readings: int) -> Integers:
 
 
 def _step(codes: Integers) -> int:
-    """Greatest common divisor of the distances of codes (c,), 0 of a single one."""
+    """Return the greatest common divisor of the distances of codes (c,), 0 of a single one."""
     return int(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 0
 
 
@@ -214,7 +214,7 @@ def _missing(distribution: Histogram, step: int) -> tuple[tuple[CodeGap, ...], i
 
 
 def _grid_counts(distribution: Histogram, step: int) -> tuple[Integers, Integers]:
-    """Integers and counts on the grid of the most frequent code."""
+    """Return the integers and counts on the grid of the most frequent code."""
     if step == 0:
         return distribution.codes[:0], distribution.counts[:0]
     on_grid = (distribution.codes - distribution.codes[np.argmax(distribution.counts)]) % step == 0

@@ -100,8 +100,8 @@ def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> Triad
 
 
 def imus_of(result: Mapping[str, Any]) -> list[ImuNoise]:
-    """The IMUs of a `characterise_log` result: an accelerometer and a gyroscope are one IMU if the log has no other
-    sensors; otherwise each sensor is one. The halves of a six-axis chip ("IMU1_acc", "IMU1_gyro") are one IMU.
+    """Return the IMUs of a `characterise_log` result: an accelerometer and a gyroscope are one IMU if the log has no
+    other sensors; otherwise each sensor is one. The halves of a six-axis chip ("IMU1_acc", "IMU1_gyro") are one IMU.
     """
     sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] in PREFIX and _noise(sensor) is not None]
     if len(sensors) == 2 and {sensor["quantity"] for sensor in sensors} == set(PREFIX):
@@ -135,7 +135,7 @@ def _unit_name(name: str) -> str:
 
 
 def imu_files(result: Mapping[str, Any]) -> dict[str, str]:
-    """File name ("imu_Gyro1.yaml") to text for Kalibr, for every IMU of a `characterise_log` result."""
+    """Return the texts for Kalibr by file name ("imu_Gyro1.yaml"), one for every IMU of a `characterise_log` result."""
     units: dict[str, list[Mapping[str, Any]]] = {}
     for sensor in result["sensors"]:
         units.setdefault(_unit_name(sensor["name"]), []).append(sensor)
@@ -144,12 +144,12 @@ def imu_files(result: Mapping[str, Any]) -> dict[str, str]:
 
 
 def kalibr_text(imu: ImuNoise) -> str:
-    """Kalibr's imu.yaml."""
+    """Return Kalibr's imu.yaml."""
     return _lines([*_comments(imu), *_kalibr_keys(imu), f"rostopic: {_topic(imu)}", f"update_rate: {imu.rate_hz:.6g}"])
 
 
 def openvins_text(imu: ImuNoise) -> str:
-    """OpenVINS's kalibr_imu_chain.yaml: the box's frame is that of the IMU, and its intrinsics are calibrated."""
+    """Return OpenVINS's kalibr_imu_chain.yaml: the box has the frame of the IMU, and its intrinsics are calibrated."""
     ones, zeros = _matrix(3, 1.0), _matrix(3, 0.0)
     keys = [
         "T_i_b:",
@@ -165,7 +165,7 @@ def openvins_text(imu: ImuNoise) -> str:
 
 
 def vins_fusion_text(imu: ImuNoise) -> str:
-    """The IMU's part of VINS-Fusion's configuration."""
+    """Return the IMU's part of VINS-Fusion's configuration."""
     keys = ["imu: 1", f'imu_topic: "{_topic(imu)}"']
     factor = math.sqrt(imu.rate_hz)
     for quantity, triad in _triads(imu):
@@ -220,7 +220,7 @@ def _gazebo_noise(quantity: str, triad: TriadNoise, rate_hz: float) -> list[str]
 
 
 def px4_text(imu: ImuNoise) -> str:
-    """The IMU plugin of a model of PX4 for Gazebo Classic."""
+    """Return the IMU plugin of a model of PX4 for Gazebo Classic."""
     lines = [
         *_xml_comments(imu),
         '<plugin name="imu_plugin" filename="libgazebo_imu_plugin.so">',

@@ -87,13 +87,13 @@ class NoiseFloor:
     spectrum_freedom: Floats
 
     def level(self, probability: float) -> Floats:
-        """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
+        """Return density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
         return np.asarray(
             self.density * _ratio_above(self.spectrum_freedom.tobytes(), self.freedom.tobytes(), probability)
         )
 
     def exceedance(self, density: Floats, at: Sequence[int]) -> Floats:
-        """Probability (p,) that noise exceeds the `density` of a spectrum in the floor's bins number `at` (p,)."""
+        """Return probability (p,) that noise exceeds `density` of a spectrum in the floor's bins number `at` (p,)."""
         places = np.asarray(at, np.intp)
         ratio = density[self.bins[places]] / self.density[places]
         return np.asarray(fdtrc(self.spectrum_freedom[places], self.freedom[places], ratio))
@@ -335,7 +335,8 @@ def find_lines(spectrum: Spectrum, column: int = 0, false_alarm: float = FALSE_A
 
 
 def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[float, ...]:
-    """Frequencies up to `highest_hz` that look like `apparent_hz` (0 to half the rate) sampled at `rate_hz`, ascending.
+    """Return the frequencies up to `highest_hz` that look like `apparent_hz` (0 to half the rate) sampled at `rate_hz`,
+    ascending.
 
     |n rate +- apparent| for all whole n. ValueError for an apparent frequency outside that range, or no positive rate.
     """
@@ -378,7 +379,7 @@ def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) ->
 
 
 def _tilt(power: Floats, bin_: int) -> float:
-    """Slope of the log of the noise at a line, per bin, from the medians of eight bins on either side."""
+    """Return the slope of the log of the noise at a line, per bin, from the medians of eight bins on either side."""
     below, above = (float(np.median(_reflect(power, bin_ + side * _SLOPE_BINS))) for side in (-1, 1))
     return log(above / below) / (2 * float(_SLOPE_BINS.mean()))
 
@@ -431,7 +432,8 @@ def _three_bins(offset: float) -> float:
 
 
 def _line_covariance(offset: float, spectrum: Spectrum) -> Floats:
-    """Covariance (3, 3) of the three bins' powers from the product of line and noise, for unit power and unit noise.
+    """Return the covariance (3, 3) of the three bins' powers from the product of line and noise, for unit power and
+    unit noise.
 
     With the line's phase taken out, the noise of bin a in one segment is the sum of w(t) e^(-2 pi i (a - d) t) times
     white noise, which the next segment contains half a segment earlier.

@@ -72,7 +72,7 @@ class _RunningMoments(NamedTuple):
 
 
 def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> NoiseStatistics:
-    """Statistics of a sensor's `rows`, which should be a stretch at rest, without those in the spans `left_out`."""
+    """Return the statistics of a sensor's `rows`, a stretch at rest, without those in the spans `left_out`."""
     zeros = np.zeros(int(sensor.counts.shape[1]))
     total, even = _RunningMoments(0, zeros, zeros), zeros
     pairs, both, product = 0, zeros, zeros  # of neighbouring rows in a block, relative to a fixed origin
@@ -111,7 +111,7 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
 def _read_used(
     sensor: SensorLog, rows: slice, flags: dict[str, int], left_out: Spans
 ) -> Iterator[npt.NDArray[np.integer]]:
-    """Counts (k, n) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""
+    """Yield the counts (k, n) of rows that count as readings, by blocks; flagged rows are added up in `flags`."""
     for start in range(rows.start, rows.stop, _BLOCK):
         part = slice(start, min(start + _BLOCK, rows.stop))
         status = np.asarray(sensor.status[part])
@@ -124,7 +124,7 @@ def _read_used(
 
 
 def _batches(rows: slice) -> Iterator[slice]:
-    """Equally long slices that cover `rows`: 32, or fewer of at least 8 rows, but at least one."""
+    """Return equally long slices that cover `rows`: 32, or fewer of at least 8 rows, but at least one."""
     count = max(1, min(BATCHES, (rows.stop - rows.start) // _MIN_BATCH))
     edges = np.linspace(rows.start, rows.stop, count + 1).round().astype(int).tolist()
     return (slice(start, stop) for start, stop in pairwise(edges) if stop > start)

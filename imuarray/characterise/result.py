@@ -55,8 +55,8 @@ _ALIASES_TO_HZ = 500.0
 
 
 def timing_of(survey: Survey, rate_hz: float) -> dict[str, Any]:
-    """Intervals, their jitter and gaps; and how often a reading repeats the one before, at `rate_hz` rows per second
-    (the rate of rows that arrive in bursts can't be computed from the intervals).
+    """Return the intervals, their jitter and gaps; and how often a reading repeats the one before, at `rate_hz` rows
+    per second (the rate of rows that arrive in bursts can't be computed from the intervals).
     """
     intervals = asdict(survey.intervals) | {"longest": [gap._asdict() for gap in survey.intervals.longest]}
     repeats = asdict(survey.repeats)
@@ -76,7 +76,7 @@ def spectrum_of(survey: Survey) -> dict[str, Any]:
 
 
 def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
-    """One column's fit, density (squared counts per Hz), lines, autocorrelation and codes."""
+    """Return one column's fit, density (squared counts per Hz), lines, autocorrelation and codes."""
     correlation = survey.correlation
     histogram = survey.histograms[column]
     return {
@@ -336,7 +336,7 @@ def _run(sensor: SensorLog, timing: Timing) -> dict[str, Any]:
 def _axis(
     name: str, column: int, statistics: NoiseStatistics, curve: AllanCurve | None, scales: dict[str, float]
 ) -> dict[str, Any]:
-    """One axis: statistics and coefficients in counts, in the sensor's unit and in SI, and the curve in counts."""
+    """Return one axis: statistics and coefficients in counts, the sensor's unit and SI, and the curve in counts."""
     white = curve and white_noise(curve.tau_s, curve.deviation, curve.freedom)
     lowest = curve and floor(curve.tau_s, curve.deviation, curve.low, curve.high, curve.freedom)
     values = {

@@ -159,7 +159,7 @@ class Welch:
         self._run_segments += segments
 
     def _periodograms(self, segments: int) -> Floats:
-        """Sums (k, m) over the segments of the squared magnitudes of their transforms."""
+        """Return the sums (k, m) over the segments of the squared magnitudes of their transforms."""
         hop, windowed = self._segment_rows // 2, self._windowed[:, :segments]
         halves = self._line[:, : (segments + 1) * hop].reshape(len(self._line), -1, hop)
         np.multiply(halves[:, :-1], self._window[:hop], out=windowed[:, :, :hop])

@@ -121,7 +121,7 @@ def _whole(log: Log) -> Stretch:
 def find_timing(
     sensor: SensorLog, rows: slice, block: int = 1 << 16, *, counted: bool = False, left_out: Spans = ()
 ) -> Timing:
-    """Median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
+    """Return the median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
 
     A run ends at a gap, where readings were lost or the chip was configured again, and at every row that is suspect or
     in a span that is left out. With `counted`, rows arrived in bursts: they were measured at a steady rate, and no
@@ -156,7 +156,7 @@ def _longest(runs: list[slice]) -> list[slice]:
 
 
 def _parts(rows: slice, block: int) -> list[slice]:
-    """Slices that cover `rows` and share their end rows, so that every interval is in exactly one."""
+    """Return the slices that cover `rows` and share their end rows, so that every interval is in exactly one."""
     return [slice(start, min(start + block + 1, rows.stop)) for start in range(rows.start, rows.stop - 1, block)]
 
 

@@ -29,7 +29,7 @@ _ZERO_BITS: Mapping[str, int] = MappingProxyType({"acc": 2, "gyro": 1})
 
 
 def header_of(halves: Collection[str], *, high_resolution: bool = False) -> int:
-    """Bits 7:4 of the header of packets with these halves."""
+    """Return bits 7:4 of the header of packets with these halves."""
     return sum(HALVES[half] for half in halves) | (_MORE_BITS if high_resolution else 0)
 
 

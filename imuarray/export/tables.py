@@ -59,7 +59,7 @@ class ExportTable:
         return self.name.rsplit("/", 1)[-1]
 
     def blocks(self, rows: int = ROWS) -> Iterator[slice]:
-        """Slices that cover the table."""
+        """Return the slices that cover the table."""
         return (slice(start, min(start + rows, self.rows)) for start in range(0, self.rows, rows))
 
 

@@ -36,7 +36,7 @@ class Setting:
         return f"register {self.register.address:#04x} reads {byte:#04x}, configured {self.into(byte):#04x}"
 
     def into(self, byte: int) -> int:
-        """`byte` with these bits replaced: the middle of a read-modify-write."""
+        """Return `byte` with these bits replaced: the middle of a read-modify-write."""
         return byte & ~self.mask & 0xFF | self.value
 
 

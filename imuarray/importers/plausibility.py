@@ -840,7 +840,7 @@ class _Delay(NamedTuple):
     without: float
 
     def sentence(self, first: str) -> str:
-        """The delay against the accelerometer `first` as a sentence."""
+        """Return the delay against the accelerometer `first` as a sentence."""
         direction = "later" if self.delay_s > 0 else "earlier"
         return (
             f"its rotations come {abs(self.delay_s):.2g} s {direction} than those of {first} (correlation"

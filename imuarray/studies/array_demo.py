@@ -60,7 +60,7 @@ class ArrayError:
         return float(np.median(list(self.single.values())))
 
     def ratio(self, technique: str) -> float:
-        """The error of a technique divided by that of the median sensor."""
+        """Return the error of a technique divided by that of the median sensor."""
         return self.fused[technique] / self.typical
 
 

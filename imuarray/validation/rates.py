@@ -127,7 +127,9 @@ def limit_of(negatives: Numbers, most: float) -> float:
 
 
 def reliability(probabilities: Numbers, right: Any) -> tuple[Bin, ...]:
-    """Bin probabilities (n,) by value and compare them with whether they were right (n,); 1 is in the last bin."""
+    """Return the bin probabilities (n,) by value and compare them with whether they were right (n,); 1 is in the last
+    bin.
+    """
     chances, outcomes = np.asarray(probabilities, float), np.asarray(right, bool)
     places = np.minimum((chances * BINS).astype(int), BINS - 1)
     filled = []
@@ -164,9 +166,9 @@ def brier(probabilities: Numbers, right: Any) -> float:
 
 
 def permute_labels(hits: Any, seed: int) -> Chance:
-    """Permute the labels of `hits` (n, n), which are True if answer i (row) hits label j (column). The number of hits
-    is that of one permutation; mean and standard deviation of the share are exact over all permutations (Hoeffding,
-    Ann. Math. Stat. 22, 1951).
+    """Return the permute the labels of `hits` (n, n), which are True if answer i (row) hits label j (column). The
+    number of hits is that of one permutation; mean and standard deviation of the share are exact over all permutations
+    (Hoeffding, Ann. Math. Stat. 22, 1951).
     """
     table = np.asarray(hits, bool)
     many = len(table)

@@ -308,7 +308,7 @@ def interval(value: Sequence[Any] | None) -> tuple[float, float]:
 
 
 def _axes(parameters: Mapping[str, Any]) -> Iterable[str]:
-    """ "x", "y", "z", if the parameters of a mechanism name any."""
+    """Return the "x", "y", "z", if the parameters of a mechanism name any."""
     named = parameters.get("axes", parameters.get("axis", ()))
     return {sign for sign in named if sign in "xyz"} if isinstance(named, str | list) else ()
 

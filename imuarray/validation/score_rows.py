@@ -486,7 +486,7 @@ def _unknown_scores(
 
 
 def _control(singles: Sequence[Answer], seed: int) -> ScoreRow:
-    """Permute the labels of the cases: the number of right ones must not exceed chance."""
+    """Return the permute the labels of the cases: the number of right ones must not exceed chance."""
     labels = [frozenset(effect for work in answer.active for effect in work.resembles) for answer in singles]
     effects = {
         label: np.array([answer.said in label and not _takes_out(answer) for answer in singles])

@@ -141,7 +141,8 @@ def _is_far(end: Table, codes: Table, level: float) -> bool:
 
 
 def bars(histogram: Table, step: int) -> tuple[Floats, Floats]:
-    """Heights (b,) and edges (b + 1,), in codes, of bars side by side for codes that come in steps of `step`.
+    """Return the heights (b,) and edges (b + 1,), in codes, of bars side by side for codes that come in steps of
+    `step`.
 
     A height is the share of the readings per possible code, 0 between codes. A bar is 1 wide, or several steps so that
     there are at most `MOST_BARS`.

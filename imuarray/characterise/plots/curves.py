@@ -45,7 +45,8 @@ _ALLAN_READING = (
 
 
 def allan_figure(result: Table) -> Figure:
-    """Allan deviations in the sensors' units (g, dps, gauss; counts if there is none), and the curves of good fits.
+    """Draw the Allan deviations in the sensors' units (g, dps, gauss; counts if there is none), and the curves of
+    good fits.
 
     Colour is the sensor, dashes are the axis, the light band is the 95 % interval; more sensors than the palette has
     colours get thin lines without bands. MissingExtraError if there is no matplotlib.
@@ -113,7 +114,7 @@ def _scale(panel: Axes) -> None:
 
 
 def _note(sensor: Table, unit: str) -> str:
-    """White noise and random walk of a sensor's well fitted axes, from the least to the greatest, and the others."""
+    """Return white noise and random walk of a sensor's well fitted axes, least to greatest, and the other axes."""
     fitted = [axis for axis in sensor["axes"] if axis.get("fit") and not axis["fit"]["verdict"]]
     unfit = [axis["axis"] for axis in sensor["axes"] if axis.get("fit") and axis["fit"]["verdict"]]
     lines = []
@@ -156,7 +157,8 @@ _SPECTRUM_READING = (
 
 
 def spectrum_figure(result: Table) -> Figure:
-    """Amplitude spectral densities, one-sided, in the sensors' units per root hertz, and the lines found in them.
+    """Draw the amplitude spectral densities, one-sided, in the sensors' units per root hertz, and the lines found in
+    them.
 
     Colour is the sensor, dashes are the axis, the light band is the 95 % interval; more sensors than the palette has
     colours get thin lines without bands. MissingExtraError if there is no matplotlib.
@@ -176,7 +178,8 @@ class Bands(NamedTuple):
 
 
 def bands(frequency_hz: Floats, density: Floats, in_band: npt.NDArray[np.bool_]) -> Bands:
-    """Means over a sixth of an octave of the bins (m,) that `in_band` (m,) marks; a band may be a single bin.
+    """Return the means over a sixth of an octave of the bins (m,) that `in_band` (m,) marks; a band may be a single
+    bin.
 
     `frequency_hz` is that of bin 0, 1, 2 ... of a spectrum; bands are the same for all spectra of one resolution.
     """
@@ -188,7 +191,7 @@ def bands(frequency_hz: Floats, density: Floats, in_band: npt.NDArray[np.bool_])
 
 
 def interval(averaged: Bands, freedom: float) -> tuple[Floats, Floats]:
-    """Ends (b,) of the 95 % interval of the band's density, of bins with `freedom` degrees of freedom each.
+    """Return the ends (b,) of the 95 % interval of the band's density, of bins with `freedom` degrees of freedom each.
 
     Powers of neighbouring bins correlate by 4/9 and of the next by 1/36: those of a Hann window's transform squared.
     """
@@ -258,7 +261,7 @@ def _height(line: Table, curve: AxisCurve) -> float:
 
 
 def _label_lines(panel: Axes, curves: list[AxisCurve]) -> None:
-    """Frequencies above the peaks and the axes that have them, the highest first, none over another."""
+    """Write above the peaks their frequencies and the axes that have them, the highest first, none over another."""
     peaks = [(_height(line, curve), line, curve) for curve in curves for line in curve.axis["lines"]]
     labelled: list[float] = []
     for height, line, curve in sorted(peaks, key=lambda peak: -peak[0]):

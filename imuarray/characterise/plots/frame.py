@@ -75,7 +75,7 @@ class SensorPanel:
 
 
 def kinds(result: Table, is_shown: Callable[[Table], bool]) -> list[SensorPanel]:
-    """Panels for the sensors with an axis that `is_shown` accepts; a sensor's colour is the same in every figure."""
+    """Return panels for sensors with an axis that `is_shown` accepts; a sensor has one colour in all figures."""
     groups: dict[tuple[str, str], list[Table]] = {}
     for sensor in result["sensors"]:
         groups.setdefault((sensor["quantity"], unit_of(sensor)), []).append(sensor)
@@ -212,7 +212,7 @@ def plain(text: str) -> str:
 
 
 def floats(values: Sequence[float | None]) -> Floats:
-    """Numbers of a result; nan for None."""
+    """Return the numbers of a result; nan for None."""
     return np.array(values, np.float64)
 
 
@@ -224,7 +224,7 @@ def plot(panel: Axes, x: Floats, y: Floats, curve: AxisCurve, **style: Any) -> N
 
 
 def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) -> None:
-    """Both scales logarithmic with plain numbers; upwards from below `lowest` to `top` times `highest`."""
+    """Make both scales logarithmic with plain numbers; upwards from below `lowest` to `top` times `highest`."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     panel.set(xscale="log", yscale="log", ylim=(lowest / 1.6, highest * top))

@@ -269,8 +269,8 @@ def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse
 
 
 def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:
-    """Roots of the sizes (c,), and weights (c, terms), of the independent components of the sums of (1, stimulus),
-    after subtraction of the contribution of the stimulus's own noise.
+    """Return the roots of the sizes (c,), and weights (c, terms), of the independent components of the sums of (1,
+    stimulus), after subtraction of the contribution of the stimulus's own noise.
     """
     if len(sums.squares) == 1:
         return np.sqrt(sums.squares[0]), np.ones((1, 1))

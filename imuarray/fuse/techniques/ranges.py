@@ -264,7 +264,7 @@ class SegmentMoments(NamedTuple):
     residual: Floats
 
     def part(self, segments: slice) -> SegmentMoments:
-        """Some of the segments."""
+        """Return some of the segments."""
         return SegmentMoments(
             self.end_ns[segments],
             self.present[segments],
@@ -394,9 +394,7 @@ class DifferenceStates:
     covariances: Floats
 
     def variances(self, frames: npt.NDArray[np.intp], along: Floats, slope: Floats) -> Floats:
-        """Return the variance (k, m) of the corrections of these frames at signals `along` (k, m) with `slope`
-        (k, m).
-        """
+        """Return variance (k, m) of the corrections of these frames at signals `along` (k, m) with `slope` (k, m)."""
         terms = np.stack([np.ones_like(along), along, -slope], axis=-1)
         return np.asarray(np.einsum("kmi,kmij,kmj->km", terms, self.covariances[self.which[frames]], terms))
 

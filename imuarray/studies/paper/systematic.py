@@ -126,7 +126,7 @@ def _row(row: Row) -> RecomputedRow:
 
 
 def table3() -> tuple[RecomputedRow, ...]:
-    """Table 3 with all five columns recomputed, and each axis' response, main axis, azimuth and elevation added."""
+    """Return Table 3 with all columns recomputed, and each axis' response, main axis, azimuth and elevation."""
     return tuple(_row(row) for row in table(3))
 
 
@@ -181,7 +181,7 @@ def _recompute(row: Row) -> RecomputedRow:
 
 
 def table1() -> tuple[RecomputedRow, ...]:
-    """Table 1 with the accelerometers' axes recomputed from Table 10, and the determinants before and after."""
+    """Return Table 1 with the accelerometers' axes recomputed from Table 10, and the determinants before and after."""
     return tuple(_recompute(row) for row in table(1))
 
 
@@ -215,7 +215,7 @@ def _both_units(row: Row, quantity: str) -> tuple[Cell, Cell]:
 
 
 def table4() -> tuple[RecomputedRow, ...]:
-    """Table 4 with all ten columns recomputed from Table 10."""
+    """Return Table 4 with all ten columns recomputed from Table 10."""
     return tuple(
         RecomputedRow(row, tuple(cell for quantity in _TABLE_4 for cell in _both_units(row, quantity)))
         for row in table(4)
@@ -234,12 +234,12 @@ def _dps_cells(row: Row, quantities: Sequence[str]) -> tuple[Cell, ...]:
 
 
 def table2() -> tuple[RecomputedRow, ...]:
-    """Table 2 with its dps columns recomputed from its counts."""
+    """Return Table 2 with its dps columns recomputed from its counts."""
     return tuple(RecomputedRow(row, _dps_cells(row, ("mean", "std"))) for row in table(2))
 
 
 def table9() -> tuple[RecomputedRow, ...]:
-    """Table 9 with its dps columns recomputed; `samples` is the number of readings that its standard errors imply."""
+    """Return Table 9 with its dps columns recomputed; `samples` are the readings that its standard errors imply."""
     return tuple(
         RecomputedRow(
             row,
@@ -384,7 +384,7 @@ def slopes(design: str, range_name: str | None = None, axes: str = "xyz") -> tup
 
 
 def table8() -> tuple[RecomputedRow, ...]:
-    """Table 8 with each slope in physical units (typical sensitivity) and the channel's box axis."""
+    """Return Table 8 with each slope in physical units (typical sensitivity) and the channel's box axis."""
     return tuple(RecomputedRow(row, (), _extra(row)) for row in table(8))
 
 

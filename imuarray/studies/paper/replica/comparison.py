@@ -226,7 +226,7 @@ def line_hz(counts: npt.NDArray[np.int16], axis: int) -> float:
 
 
 def compare_faces(ten: Table) -> Iterator[Statistic]:
-    """Table 10."""
+    """Compare Table 10."""
     for row in table(10):
         channel = row["channel"]
         for face in READINGS:
@@ -259,7 +259,7 @@ _SCALE = "scale_lsb_per_g"
 
 
 def compare_gyroscopes(four: Table) -> Iterator[Statistic]:
-    """Table 4 in LSB; its columns in dps are the same numbers in another unit."""
+    """Compare Table 4 in LSB; its columns in dps are the same numbers in another unit."""
     for row in table(4):
         channel, result = row["channel"], four[row["channel"]]
         yield _bias("Table 4", channel, float(number_in(row, "bias_lsb")), result["bias_lsb"])
@@ -311,7 +311,7 @@ _RESET_RATIO = 8.0
 
 
 def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
-    """Table 11."""
+    """Compare Table 11."""
     for row in table(11):
         channel, result = row["channel"], simulated[row["channel"]]
         spreads = {half: deviation_spread(channel, half) for half in ("runs", "cont")}
@@ -334,7 +334,7 @@ def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
 
 
 def compare_in_run(simulated: Table) -> Iterator[Statistic]:
-    """Table 5."""
+    """Compare Table 5."""
     for row in table(5):
         members = [member["channel"] for member in group_members(row["group"])]
         sizes = [printed(11, member, "cont_std_of_means") for member in members]
@@ -347,7 +347,7 @@ def compare_in_run(simulated: Table) -> Iterator[Statistic]:
 
 
 def compare_runs(number: int, name: str, simulated: Table) -> Iterator[Statistic]:
-    """Tables 6 (BMA1) and 7 (Gyro3): every run's means."""
+    """Compare Tables 6 (BMA1) and 7 (Gyro3): every run's means."""
     faulty = {fault.run for fault in boot_faults()} if name == "BMA1" else set()
     for row in table(number):
         run = int(row["run"])
@@ -450,7 +450,7 @@ class _HeatingSpread(NamedTuple):
 
 
 def compare_slopes(simulated: Table) -> Iterator[Statistic]:
-    """Table 8."""
+    """Compare Table 8."""
     heated = _heating_spread()
     for row in table(8):
         for column, compare in (("slope_lsb_per_degc", _slope), ("intercept_lsb", _intercept)):
@@ -497,7 +497,7 @@ def _heating_spread() -> _HeatingSpread:
 
 
 def compare_gyro_noise(number: int, simulated: Table) -> Iterator[Statistic]:
-    """Table 9, or Table 2, which prints the same means and deviations; the upper half is at 250 dps."""
+    """Compare Table 9, or Table 2, which prints the same means and deviations; the upper half is at 250 dps."""
     rows = table(number)
     for index, row in enumerate(rows):
         name = "250dps" if index < len(rows) / 2 else "2k dps"
@@ -542,7 +542,7 @@ def _between_filters() -> float:
 
 
 def compare_figures(observed: ExperimentData) -> Iterator[Statistic]:
-    """Figures 13 and 14 (Gyro1 at 250 dps)."""
+    """Compare Figures 13 and 14 (Gyro1 at 250 dps)."""
     counts = observed.high_rate["250dps"].counts
     neighbours = autocorrelation(counts, 1)
     for i, axis in enumerate("xyz"):
@@ -558,7 +558,7 @@ def compare_figures(observed: ExperimentData) -> Iterator[Statistic]:
 
 
 def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[Statistic]:
-    """Appendices A.2 and A.3, and sections 5.2.4's two odd sensors."""
+    """Compare Appendices A.2 and A.3, and sections 5.2.4's two odd sensors."""
     for name, share in observed.even.items():
         yield _yes_or_no(("Appendix A.2", name, "all codes even"), 1.0, float(share == 1.0))
     for axis, std in _A3_STDS.items():

@@ -304,7 +304,7 @@ def _heating(seed: int, boot: int) -> tuple[dict[str, TemperatureLine], dict[str
 
 
 def _high_rate(seed: int, boot: int, range_name: str) -> HighRate:
-    """400 Hz and 110 Hz were set (appendix A.1), +X was up (section 4)."""
+    """Return the high-rate experiment: 400 Hz and 110 Hz were set (appendix A.1), +X was up (section 4)."""
     seconds = high_rate_s(range_name)
     motion = Still("+X", seconds, high_rate_degc(range_name))
     dps = 250.0 if range_name == "250dps" else 2000.0

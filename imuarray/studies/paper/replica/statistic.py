@@ -45,7 +45,7 @@ def printed(number: int, channel: str, column: str) -> float:
 
 
 def axis_of(channel: str) -> int:
-    """0, 1, 2 for x, y, z, 3 for the thermometer."""
+    """Return 0, 1, 2 for x, y, z, 3 for the thermometer."""
     return "xyzt".index(channel.split()[1])
 
 
@@ -56,7 +56,7 @@ def own(channel: str, value: Callable[[SensorUnit], Floats]) -> float:
 
 
 def slope(channel: str) -> float:
-    """Counts per degC: Table 8, or the thermometer's own."""
+    """Return the counts per degC: Table 8, or the thermometer's own."""
     return _CODES_PER_DEGC[design_of(channel)] if channel.endswith("t") else printed(8, channel, "slope_lsb_per_degc")
 
 
@@ -306,7 +306,7 @@ def within(rows: Sequence[Statistic]) -> tuple[int, int, int]:
 
 
 def effective_degrees(rows: Sequence[Statistic]) -> float:
-    """n^2 / sum(r_ij^2), r_ij^2 = the product of two statistics' shares in their group's cause, 1 for i = j."""
+    """Return n^2 / sum(r_ij^2), r_ij^2 = the product of two statistics' shares in their group's cause, 1 for i = j."""
     shares: dict[str, list[float]] = defaultdict(list)
     for row in rows:
         if row.group:
@@ -352,7 +352,7 @@ class Replica:
         return tuple(row for row in self.statistics if abs(row.z) > limit)
 
     def as_json(self) -> dict[str, Any]:
-        """Summary, summaries per table and all statistics, ready for JSON (an infinite z is null)."""
+        """Return the summary, summaries per table and all statistics, ready for JSON (an infinite z is null)."""
         return {
             "seed": self.seed,
             "summary": asdict(self.summary),
