@@ -56,8 +56,8 @@ class Lis3dh(ChipDriver):
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         self.watched = (
-            RATE(1 + SPEC.rates_hz.index(sensor.chip_rate_hz)) | AXES_ON(0b111),
-            BLOCK_UPDATE(1) | FULL_SCALE(list(SPEC.sensitivity).index(sensor.range or 2.0)) | HIGH_RESOLUTION(1),
+            RATE(1 + sensor.spec.rates_hz.index(sensor.chip_rate_hz)) | AXES_ON(0b111),
+            BLOCK_UPDATE(1) | FULL_SCALE(list(sensor.spec.sensitivity).index(sensor.range or 2.0)) | HIGH_RESOLUTION(1),
         )
 
     def steps(self) -> Iterator[float]:

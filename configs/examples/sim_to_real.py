@@ -29,10 +29,10 @@ def main(folder: Path) -> dict[str, object]:
     noise.plot("allan").savefig(folder / "allan.svg")
     print(noise.coefficient("Gyro1", "x", "white"))  # dps/sqrt(Hz), with its 95 % interval
 
-    found = ia.diagnose([tumble, night], only=["Gyro1", "Gyro2"], replicates=40)
-    found.plot().savefig(folder / "diagnosis.svg")
-    print(found.sentence)
-    return {"fused": fused, "noise": noise, "poses": poses, "diagnosis": found}
+    diagnosis = ia.diagnose([tumble, night], only=["Gyro1", "Gyro2"], replicates=40)
+    diagnosis.plot().savefig(folder / "diagnosis.svg")
+    print(diagnosis.sentence)
+    return {"fused": fused, "noise": noise, "poses": poses, "diagnosis": diagnosis}
 
 
 if __name__ == "__main__":
