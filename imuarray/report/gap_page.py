@@ -330,7 +330,7 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
     heading = ["sensor", "quantity", "value", "tolerance", "pull", "source", "may come from"]
     caption = (
         "Worst first. The pull is the deviation from the nominal value in units of the tolerance; marked above one, "
-        "where no cause may have made it."
+        "unless a cause may explain it."
     )
     return Table(heading, rows, caption, (1, 5, 6))
 

@@ -297,7 +297,7 @@ def heating_section(path: Path, calibration: Calibration) -> Section:
             Figure(
                 figure,
                 "Five-second means of the error about box Y: every single gyroscope drifts, their "
-                "average keeps part of it, opposing them takes out what they share.",
+                "average keeps part of it, opposing them removes what they share.",
                 "Drift of single gyroscopes, their average and the opposed result while the box is heated",
             )
         ],
@@ -365,7 +365,7 @@ def motion_section(path: Path, calibration: Calibration) -> Section:
             Figure(
                 motion_figure(truth, times, curves, 1.5),
                 "Above: the specific force of the box; the dashed lines are the ends of the low range. Below: errors. "
-                "The low range alone has gaps where it clips; the blend has none, makes no step, and is quieter "
+                "The low range alone has gaps where it clips; the blend has neither gaps nor steps, and is quieter "
                 "at rest than either range.",
                 "True specific force of a shaken box and the errors of the low range, the high range and their blend",
             )

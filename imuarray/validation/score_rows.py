@@ -642,7 +642,7 @@ def _wrong(answers: Sequence[Answer], seed: int) -> ScoreRow:
         if answer.case.kind == "single" and answer.first and not answer.is_first_right()
     ]
     claims = [value for value in wrong if isfinite(value)]
-    about = "single mechanisms that were detected, the first cause a wrong one: the mean share that it claims to close"
+    about = "detected single mechanisms with a wrong first cause: the mean share that this cause claims to close"
     return make_row("closure claimed for a wrong cause", bootstrap(np.mean, claims, seed=seed), WRONG, about)
 
 
@@ -655,7 +655,7 @@ def _withheld_row(answers: Sequence[Answer], seed: int) -> ScoreRow:
         for answer in answers
         if answer.case.kind == "withheld"
     ]
-    about = "detected, the right cause withheld: the mean share that it claims to close, 0 where it claims none"
+    about = "detected with the right cause withheld: mean share that the causes claim to close, 0 if they claim none"
     return make_row("closure claimed without the right cause", bootstrap(np.mean, claims, seed=seed), NO_BAR, about)
 
 

@@ -396,4 +396,4 @@ def _format_line(mark: str, name: str, value: str, interval: str, cases: str, ba
 
 def _lost_row(run: ValidationRun) -> ScoreRow:
     share = rate(len(run.lost), len(run.answers) + len(run.lost))
-    return make_row("cases lost", share, NO_BAR, "no outcome, or one with an error: in no other figure")
+    return make_row("cases lost", share, NO_BAR, "no outcome, or one with an error; not included in other figures")

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 COLUMNS: Mapping[str, str] = {
     "paper": "the number that the paper prints",
     "recomputed": (
-        "what follows for it from other numbers that the paper prints: unmarked if equal in every digit, ≈ if within "
+        "its value calculated from other printed numbers: unmarked if equal in every digit, ≈ if within "
         "the rounding of those numbers, ≠ if beyond"
     ),
     "simulated": "the same statistic, measured on the simulated array",
-    "difference": "simulated less printed",
+    "difference": "simulated minus printed",
     "z": (
         "the difference divided by its uncertainty; of deviations, ranges and ratios the logarithms are compared. The "
-        "uncertainty is that by which the paper's own tables disagree where two of them tell the same thing. Beyond 2 "
+        "uncertainty is the disagreement of the paper's own tables where two of them state the same figure. Beyond 2 "
         "it is marked"
     ),
 }
@@ -42,7 +42,7 @@ COLUMNS: Mapping[str, str] = {
 
 TABLE_WORDS: Mapping[int, tuple[str, str]] = {
     1: (
-        "how the sensors lie",
+        "orientation of the sensors",
         "The sensor axis along each axis of the box. Recomputed from Table 10 for accelerometers. It is an input "
         "of the simulation.",
     ),
@@ -534,7 +534,7 @@ def _columns() -> Section:
         "How to read the tables",
         words,
         [Table(["column", "meaning"], rows, "Columns without a number are left out.", (1,))],
-        fold="What stands in each column",
+        fold="What each column contains",
     )
 
 
