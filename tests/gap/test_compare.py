@@ -16,7 +16,7 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.array import parse_array
-from imuarray.gap.diagnose import REPLICATES
+from imuarray.gap.diagnose import REPLICATES, _verify
 from imuarray.gap.findings.deviations import StatisticReport, where_of
 from imuarray.gap.inference.assessment import LEVEL
 from imuarray.gap.inference.comparison import (
@@ -34,7 +34,7 @@ from imuarray.gap.model.workers import processes, runner
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, pairs_of
-from imuarray.gap.statistics.synthetic_likelihood import likelihood_of
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
 from imuarray.simulate import parse_model, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.noise import Tone
@@ -312,6 +312,31 @@ def test_limits_of_a_sequential_test_do_not_rise() -> None:
 )
 def test_few_replicates_decide_what_is_clear(count: int, p: float, largest: float, decided: bool) -> None:
     assert is_decided(count, p, largest, 4.0) == decided
+
+
+@pytest.mark.parametrize(("moved", "replicates"), [(0.0, 20), (40.0, 28), (2.6, 32)])
+def test_verification_ends_early_if_the_remainder_is_clear(moved: float, replicates: int) -> None:
+    """No remainder; one that is ten times the largest of chance; and one that is hardly larger, which has all."""
+    bench = Chances(3)
+    bench._drawn[0] = moved
+    first = 2_000_000
+
+    def run(job: object, items: Sequence[Sequence[tuple[object, int]]]) -> list[list[StatisticValues]]:
+        return bench.run(job, [[(models, number - first) for models, number in group] for group in items])
+
+    usual = SyntheticLikelihood(np.zeros(9), np.ones(9), np.ones(9, bool), np.zeros(9, bool))
+    comparison = SimpleNamespace(
+        bench=bench,
+        assessment=SimpleNamespace(likelihood=usual),
+        pairs=bench.pairs(),
+        real=bench.observed(None, None),
+        earlier=None,
+    )
+    case, search = SimpleNamespace(comparison=comparison, run=run), SimpleNamespace(models={})
+    verification = _verify(cast(Any, case), cast(Any, search), cast(Any, ["a cause"]))
+    assert bench.asked == list(range(replicates))  # each once
+    assert len(verification.replicates) == replicates
+    assert (verification.after.p > 0.3) == (moved == 0)
 
 
 def test_a_flag_without_rows_is_missing() -> None:
