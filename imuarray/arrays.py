@@ -10,6 +10,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Reals = npt.NDArray[np.floating[Any]]
 """Values in single or double precision."""
+Complexes = npt.NDArray[np.complex128]
 Integers = npt.NDArray[np.int64]
 Times = npt.NDArray[np.int64]
 """Nanoseconds since the epoch of a log."""

@@ -13,14 +13,15 @@ and temperatures if the logs contain them. A **simulator** makes recordings of t
   and tilt of the box; the lag of an element behind the temperature of the box, up to the lag of the dies by their own
   thermometers if that is longer than usual (`model.element_temperature`); the delay of a signal in a chip's filter and
   in its decimation, and the offset of the times of rows due to a queue, or between the clocks of the sensors and of a
-  track (`model.signal_delay`); and lines of the surroundings, which several sensors of a quantity measure alike, or
-  which are faint lines of accelerometers that the others together would not show (`model.ambient_lines`). The
-  following are drawn anew for every replicate: the phase and rate of the data clock (`model.data_clock`), the scatter
-  of biases from one power-on to the next, the position of an accelerometer, nonlinearity, the slope of the scale over
-  temperature, the curvature of a bias over temperature, slopes that the temperatures of the recording do not determine,
-  usual flicker in long phases, a bias that all accelerometers have in common, and the course of an unrecorded room
-  temperature (`model.room_temperature`). Their estimates are reported as **pulls**, value over tolerance
-  (`model.nuisance`), and are not causes;
+  track (`model.signal_delay`); lines of the surroundings, which several sensors of a quantity measure alike, or which
+  are faint lines of accelerometers that the others together would not show (`model.ambient_lines`); and broad
+  vibrations of the surroundings at rest, by cross-spectra of the sensors and by the excess of their spectra over those
+  in the quietest parts (`recording.vibration`). The following are drawn anew for every replicate: the course of a
+  vibration, the phase and rate of the data clock (`model.data_clock`), the scatter of biases from one power-on to the
+  next, the position of an accelerometer, nonlinearity, the slope of the scale over temperature, the curvature of a bias
+  over temperature, slopes that the temperatures of the recording do not determine, usual flicker in long phases, a bias
+  that all accelerometers have in common, and the course of an unrecorded room temperature (`model.room_temperature`).
+  Their estimates are reported as **pulls**, value over tolerance (`model.nuisance`), and are not causes;
 * **effects** e with parameters eta, a place (sensor, axes, family or all) and a time (always, from a moment on, in
   some logs, in stretches): the simulator may lack an effect that the sensors have, or have one that they lack
   (`inference.effects`).

@@ -251,7 +251,13 @@ def prepare(
         campaign = select_fitted(campaign, base.fitted)
         return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
     train = split.train(campaign)
-    base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
+    base = fit(
+        train.campaign,
+        [experiments[at].motion for at in train.logs],
+        model=model,
+        seed=seed,
+        vibrations=[experiments[at].vibrations for at in train.logs],
+    )
     base = replace(
         base,
         queued=_queued_in(recordings),
@@ -311,7 +317,8 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     """Return the base model fitted to all of these recordings."""
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
     campaign, experiments = _summarise(recordings, split), [recording.experiment for recording in recordings]
-    base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
+    motions, vibrations = zip(*((each.motion, each.vibrations) for each in experiments), strict=True)
+    base = fit(campaign, motions, model=model, seed=seed, vibrations=vibrations)
     base = replace(base, queued=_queued_in(recordings), ambient_lines=fit_ambient_lines(campaign, base.headers))
     return _correct(bench_of(campaign, split, experiments, base), campaign).base
 

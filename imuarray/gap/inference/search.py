@@ -569,7 +569,13 @@ def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesi
     bench, (other,) = comparison.bench, trial.others
     logs = [(train.logs[at], train.campaign.logs[at]) for at in kept]
     campaign = Campaign(tuple(log.exchanged(trial.sensor, other) if at in whole else log for at, log in logs))
-    base = fit(campaign, [bench.motions[at] for at, _ in logs], model=bench.base.model, seed=bench.base.seed)
+    base = fit(
+        campaign,
+        [bench.motions[at] for at, _ in logs],
+        model=bench.base.model,
+        seed=bench.base.seed,
+        vibrations=[bench.experiments[at].vibrations for at, _ in logs],
+    )
     if not {trial.sensor, other} <= set(base.fitted):
         return trial
     own, opposite = (

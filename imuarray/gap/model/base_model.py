@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.characterise.correlation import SEGMENT as CORRELATED_ROWS
 from imuarray.gap.model.ambient_lines import MOST_FACTOR, AmbientLine
 from imuarray.gap.model.data_clock import clock_errors, flags_repeats, repeated_share
 from imuarray.gap.model.element_temperature import (
@@ -51,6 +52,7 @@ from imuarray.gap.model.rest import (
 )
 from imuarray.gap.model.signal_delay import stated_delay
 from imuarray.gap.recording.attitude import attitude_numbers
+from imuarray.gap.recording.vibration import Vibration, vibration_along
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary
 from imuarray.gap.statistics.catalogue import (
     AXES,
@@ -101,7 +103,7 @@ filter; the least share of the wander, in standard deviations of a correlation; 
 that at the lag before.
 """
 
-_DRIFTS, _SLOW_DRIFTS, _DRIFT_BY_CHANCE = 0.35, 3.0, 4.0
+_DRIFTS, _DRIFT_BY_CHANCE = 0.35, 4.0
 """Drift over a phase, in standard deviations of the noise, that adds 0.01 to the correlations; drift that causes nearly
 half of the variance; standard error of the drift, multiplied by the root of the number of rows.
 """
@@ -318,6 +320,7 @@ def fit(
     model: Model | None = None,
     seed: int = 0,
     accelerometers: int | None = None,
+    vibrations: Sequence[Sequence[Vibration]] = (),
 ) -> Base:
     """Return the base model of a campaign; `motions` are the motions of the box, one for each log.
 
@@ -327,13 +330,21 @@ def fit(
     attitude of the box was not noted, the stimulus is estimated from the array itself (`imuarray.gap.model.gravity`).
     `model` specifies the other effects. Their contributions to noise and level are included in the fitted figures too
     and are removed by `imuarray.gap.inference.comparison.settle_bench`. `accelerometers` is the number of
-    accelerometers of the array, by default those of the campaign.
+    accelerometers of the array, by default those of the campaign. `vibrations` are those of the surroundings in each
+    log (none by default), which are not the sensors' noise.
     """
     headers = headers_in(campaign)
+    vibrations = vibrations or ((),) * len(campaign.logs)
     lags_s = _lags(campaign, motions, headers)
     campaign = with_element_temperatures(campaign, motions, lags_s)
     forces = estimated_forces(campaign, motions, _thermal_change(campaign, motions, headers))
-    rests = {name: list(_at_rest(campaign, motions, forces, name)) for name in headers}
+    rests = {
+        name: [
+            _without_vibrations(rest, header, vibrations[rest.group[0]])
+            for rest in _at_rest(campaign, motions, forces, name)
+        ]
+        for name, header in headers.items()
+    }
     if accelerometers is None:
         accelerometers = number_of_accelerometers(headers.values())
     fitted = {
@@ -348,7 +359,7 @@ def fit(
         fitted[name] = replace(fitted[name], clock_error=errors[name], delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model specifies the filter
-        low_pass, low_pass_sd = _filter_of(campaign, header, fitted[name])
+        low_pass, low_pass_sd = _filter_of(campaign, header, fitted[name], vibrations)
         if low_pass is not None:
             rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
             fitted[name] = replace(fitted[name], rms=rms, low_pass=low_pass, low_pass_sd=low_pass_sd)
@@ -605,7 +616,9 @@ class _Correlations(NamedTuple):
         return np.asarray(self.rows @ values / self.rows.sum())
 
 
-def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> _Correlations | None:
+def _correlations(
+    campaign: Campaign, header: SensorHeader, fitted: FittedParameters, vibrations: Sequence[Sequence[Vibration]]
+) -> _Correlations | None:
     """Return the correlations of the noise in the phases that determine them; None if no phase does.
 
     Rows of a chip that is polled faster than it samples are 0, 1, ... samples apart (`_samples_apart`); rows that
@@ -613,8 +626,19 @@ def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParame
     by the share of the other noise. Phases that drift, for example during heating, are left out if the others are
     sufficient (`_level_phases`).
     """
-    every_rest = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
-    rests = _level_phases(every_rest, fitted.noise(header))
+    every_rest = [
+        (phase, of_log)
+        for log, of_log in zip(campaign.logs, vibrations, strict=True)
+        for phase in log.still(header.name)
+        if phase.intervals.count
+    ]
+    is_level = _level_phases([phase for phase, _ in every_rest], fitted.noise(header))
+    has_level = any(is_level)
+    rests = [
+        _with_correlations_of_noise(phase, of_log, has_drift=not level)
+        for (phase, of_log), level in zip(every_rest, is_level, strict=True)
+        if level or not has_level
+    ]
     if not rests:
         return None
     is_flagged = flags_repeats(campaign, header)
@@ -626,9 +650,49 @@ def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParame
         (phase.correlation[list(_ALL_LAGS)] - at[:, None]) / noise_share for phase, at in zip(rests, again, strict=True)
     ]
     values = np.array([_of_filter(correlations, count) for correlations, count in zip(each, rows, strict=True)])
-    covers = bool(2 * rows.sum() > sum(phase.rows for phase in every_rest))
+    covers = bool(2 * rows.sum() > sum(phase.rows for phase, _ in every_rest))
     least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
     return _Correlations(values, reads, rows, least_wander, covers) if np.isfinite(values).all() else None
+
+
+def _with_correlations_of_noise(phase: Summary, vibrations: Sequence[Vibration], *, has_drift: bool) -> Summary:
+    """Return the phase with the correlations that the sensor's noise has without the vibrations of the surroundings and
+    (`has_drift`) without the variance between the means of the segments, in each of the parts of the phase in which
+    correlations are computed.
+    """
+    segments = phase.segments
+    known = segments.rows > 0
+    rows, mean = segments.rows[known].astype(float), segments.mean[known]
+    within = rows @ segments.variance[known] / rows.sum()
+    part = ((np.cumsum(rows) - rows / 2) // CORRELATED_ROWS).astype(int)
+    of_part = np.eye(part.max() + 1)[part] * rows[:, None]
+    between = rows @ np.square(mean - ((of_part.T @ mean) / of_part.sum(axis=0)[:, None])[part]) / rows.sum()
+    variance = within + between
+    other = np.zeros_like(phase.correlation)
+    if has_drift:
+        other += np.maximum(between - within * (len(rows) - part.max() - 1) / rows.sum(), 0.0)
+    if any(vibration.quantity == phase.header.quantity for vibration in vibrations):
+        span_ns = phase.phase.start_ns, phase.phase.end_ns
+        lags_s = (np.arange(len(other)) * phase.intervals.mean_s).tolist()
+        other += np.array([vibration_along(phase.header, vibrations, *span_ns, lag_s) for lag_s in lags_s])
+    if not other.any():
+        return phase
+    remaining = np.maximum(variance - other[0], _LEAST_NOISE_SHARE * within)
+    correlation = (phase.correlation * variance - other) / np.where(remaining > 0, remaining, 1.0)
+    return replace(phase, correlation=np.where(remaining > 0, correlation.clip(-1.0, 1.0), phase.correlation))
+
+
+def _without_vibrations(rest: Rest, header: SensorHeader, vibrations: Sequence[Vibration]) -> Rest:
+    """Return the rest with the variances that its segments have without the vibrations of the surroundings."""
+    if not any(vibration.quantity == header.quantity for vibration in vibrations):
+        return rest
+    time_s = rest.segments.time_s[rest.segments.rows > 0]
+    shaken = np.zeros_like(rest.variance)
+    for vibration in vibrations:
+        within = (time_s >= vibration.start_ns * 1e-9) & (time_s < vibration.end_ns * 1e-9)
+        if vibration.quantity == header.quantity and within.any():
+            shaken[within] += vibration_along(header, [vibration], vibration.start_ns, vibration.end_ns)
+    return replace(rest, variance=np.maximum(rest.variance - shaken, _LEAST_NOISE_SHARE * rest.variance))
 
 
 def _of_filter(correlations: Floats, rows: float) -> Floats:
@@ -642,7 +706,9 @@ def _of_filter(correlations: Floats, rows: float) -> Floats:
     return least if difference > max(_FAR_SMALLER * float(np.linalg.norm(median)), by_chance) else median
 
 
-def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> tuple[Bandwidth | None, float]:
+def _filter_of(
+    campaign: Campaign, header: SensorHeader, fitted: FittedParameters, vibrations: Sequence[Sequence[Vibration]]
+) -> tuple[Bandwidth | None, float]:
     """Return the chip's own filter, or None if the rows do not show one, and the standard deviation of the log of its
     cutoff.
 
@@ -655,7 +721,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     chance, the configured filter is returned if it fits better than none.
     """
     configured_hz = noise_bandwidth_hz(header)
-    measured = _correlations(campaign, header, fitted) if configured_hz > 0 else None
+    measured = _correlations(campaign, header, fitted, vibrations) if configured_hz > 0 else None
     if measured is None:
         return None, 0.0
     without_memory = measured.beyond(np.zeros_like(measured.values))
@@ -739,22 +805,18 @@ def _of_samples(measured: _Correlations, expected: Floats) -> tuple[float, ...]:
     return correlations if has_correlations(correlations) else ()
 
 
-def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
-    """Return the phases with a level that does not drift compared with the `noise` (3,), if they have enough rows and
-    at least half of all rows. Otherwise return these and the phases with a drift that can be estimated as a wander, if
-    together they have that many rows. Otherwise return the phases without drift if they have enough rows, or else all
-    phases.
+def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[bool]:
+    """Return which phases have a level that does not drift compared with the `noise` (3,); none if those have few rows
+    or less than half of all rows.
 
     A drift by d standard deviations of the noise over a phase adds d^2 / 12 to the correlations at all lags.
     """
     rows = np.array([max(phase.rows, 1) for phase in phases])
     drifts = np.array([float(np.median(np.abs(2 * halves(phase)) / noise)) for phase in phases])
     is_level = ~(drifts > _DRIFTS + 2 * _DRIFT_BY_CHANCE / np.sqrt(rows))
-    is_told = is_level | ((drifts**2 / 12 > _WANDERS / np.sqrt(rows)) & (drifts < _SLOW_DRIFTS))
-    for chosen, least in ((is_level, _ENOUGH_SHARE), (is_told, _ENOUGH_SHARE), (is_level, 0.0)):
-        if rows[chosen].sum() >= max(_ENOUGH_ROWS, least * rows.sum()):
-            return [phase for phase, is_chosen in zip(phases, chosen, strict=True) if is_chosen]
-    return list(phases)
+    if rows[is_level].sum() < max(_ENOUGH_ROWS, _ENOUGH_SHARE * rows.sum()):
+        return [False] * len(phases)
+    return [bool(level) for level in is_level]
 
 
 def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidth) -> Floats:

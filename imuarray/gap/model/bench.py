@@ -213,9 +213,12 @@ class Bench(Stage):
         all_motions = self._known_motions(campaigns[0])
         sides = [self.split.train(campaign) for campaign in campaigns]
         motions = [all_motions[at] for at in sides[0].logs]
+        vibrations = [self.experiments[at].vibrations for at in sides[0].logs]
         accelerometers = number_of_accelerometers(self.base.headers.values())
         bases = [
-            fit(side.campaign, motions, accelerometers=accelerometers) if self.is_refitted else self.base
+            fit(side.campaign, motions, accelerometers=accelerometers, vibrations=vibrations)
+            if self.is_refitted
+            else self.base
             for side in sides
         ]
         values = np.full((len(campaigns), len(self.keys)), np.nan)

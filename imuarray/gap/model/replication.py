@@ -18,6 +18,7 @@ from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
 from imuarray.gap.model.gravity import mean_force_g
 from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.model.room_temperature import HEAT_DEGC, ROOM_DEGC, draw_room_temperature
+from imuarray.gap.model.vibration import VibratingBox
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Experiment, reference_of, temperature_of
 from imuarray.gap.recording.source import Source, simulated_sources
@@ -389,11 +390,16 @@ class Stage:
         """Cache of the latest signals that several models of a sensor have in common."""
         return DrawMemory(_SIGNALS_BYTES)
 
-    def _stimulus_motion(self, log: int, number: int) -> Motion:
-        """Return the motion of a log in a replicate, with a cache of its stimuli."""
+    def _stimulus_motion(self, log: int, number: int, sensor: str = "") -> Motion:
+        """Return the motion of a log in a replicate as a sensor measures it, with a cache of its stimuli."""
         shared = RememberedMotion(self.experiments[log].motion, self._memory, log)
         motion = self._motion(log, number, shared)
-        return motion if motion is shared else RememberedMotion(motion, self._memory, (log, number))
+        owner: Hashable = (log, number)
+        if vibrations := self.experiments[log].vibrations:
+            seed, private = replicate_seed(self.base.seed, number), any(item.private.any() for item in vibrations)
+            motion = VibratingBox(motion, vibrations, Streams(seed), log, sensor if private else "", self._memory)
+            owner = (log, number, motion.sensor)
+        return motion if motion is shared else RememberedMotion(motion, self._memory, owner)
 
     def _motion(self, log: int, number: int, recorded: Motion | None = None) -> Motion:
         """Return the motion of a log in a replicate: `recorded`, or by default that of the experiment, with a room
@@ -421,7 +427,7 @@ class Stage:
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
             plan,
-            self._stimulus_motion(log, number),
+            self._stimulus_motion(log, number, name),
             {name: effects},
             seed=replicate_seed(self.base.seed, number),
             boot=self.first_boot + log,

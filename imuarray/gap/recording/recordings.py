@@ -35,6 +35,7 @@ from imuarray.gap.recording.phases import (
 from imuarray.gap.recording.recorder_gaps import EARLY, RecorderGaps, recorder_gaps, usual_interval_ns
 from imuarray.gap.recording.shared_stamps import add_lost_rows
 from imuarray.gap.recording.source import RowFilter, Source, recorded_source
+from imuarray.gap.recording.vibration import Vibration, vibrations_of
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.row_timing import RowTiming, even_rows, notes_of, row_timing
@@ -48,6 +49,7 @@ from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import Timeline, filled
 from imuarray.spelling import guess
+from imuarray.units import SI_PER_UNIT, UNIT_OF
 
 Temperature = Callable[[Times], Reals]
 """Function from times (n,) in ns to the reference temperature (n,) in degC, the same for all sensors."""
@@ -105,7 +107,7 @@ class Experiment(NamedTuple):
     `uncertain_ns`: by sensor the times (u,) of rows that are not compared, because they were read at an unknown time
     (`imuarray.gap.recording.recorder_gaps`), the box was touched, or the chip's filter had not settled.
     `has_temperature`: whether the log has a reference temperature; without one, the box may still have been heated
-    (`is_heated`).
+    (`is_heated`). `vibrations`: those of the surroundings at rest.
     """
 
     plan: Plan
@@ -113,6 +115,7 @@ class Experiment(NamedTuple):
     uncertain_ns: Mapping[str, Times] = {}
     has_temperature: bool = True
     is_heated: bool = False
+    vibrations: tuple[Vibration, ...] = ()
 
     def comparable_rows(self, name: str, source: Source) -> Source:
         """Return the rows of a sensor, recorded or simulated, without the rows at uncertain times."""
@@ -231,7 +234,32 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
         recording = recording_of(log, here)
         lacking = tuple(f"{name} is left out: it was not read in this log." for name in names if name not in here)
         recordings.append(replace(recording, notes=(*lacking, *recording.notes)))
-    return _without_unknown_temperature(_without_shaken_logs(recordings))
+    return _with_vibrations(_without_unknown_temperature(_without_shaken_logs(recordings)))
+
+
+def _with_vibrations(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return the recordings with the vibrations of the surroundings, and with notes on them."""
+    sensors = [{name: recording.log[name] for name in recording.experiment.plan.sensors} for recording in recordings]
+    rests = [[phase for phase in recording.phases if is_at_rest(phase)] for recording in recordings]
+    uncertain_ns = [recording.experiment.uncertain_ns for recording in recordings]
+    return tuple(
+        replace(
+            recording,
+            experiment=recording.experiment._replace(vibrations=vibrations),
+            notes=(*recording.notes, *_vibration_notes(vibrations)),
+        )
+        for recording, vibrations in zip(recordings, vibrations_of(sensors, rests, uncertain_ns), strict=True)
+    )
+
+
+def _vibration_notes(vibrations: Sequence[Vibration]) -> Iterator[str]:
+    """Yield a note for each quantity with vibrations of the surroundings: the largest root mean square of an axis."""
+    for quantity in dict.fromkeys(vibration.quantity for vibration in vibrations):
+        of_quantity = [vibration for vibration in vibrations if vibration.quantity == quantity]
+        rms_si = math.sqrt(max(float(vibration.autocovariance(0.0).max()) for vibration in of_quantity))
+        rms = rms_si / SI_PER_UNIT[UNIT_OF[quantity]]
+        size = f"{1e3 * rms:.2g} mg" if quantity == "specific_force" else f"{rms:.2g} dps"
+        yield f"The surroundings vibrate at rest, by up to {size} (rms) along an axis; simulations do too."
 
 
 def _without_shaken_logs(recordings: Sequence[Recording]) -> Sequence[Recording]:
