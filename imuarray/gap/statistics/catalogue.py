@@ -85,12 +85,12 @@ class _Place(NamedTuple):
 
 class _ProbeValues(NamedTuple):
     """Values of one probe at one place: `values` (r, k) of r replicates, with k = 3 axes or k = 1, and a function that
-    returns their least meaningful difference.
+    returns their least meaningful difference, one or (k,).
     """
 
     probe: str
     values: Floats
-    resolution: Callable[[], float]
+    resolution: Callable[[], Floats | float]
 
 
 class ReplicateStatistics(NamedTuple):
@@ -184,11 +184,15 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
     return by_sensor
 
 
-def _least_of_cross(probe: CrossProbe, phase: PhaseSummary, sensor: str) -> float:
-    """Return the least meaningful difference of a probe in a phase; larger if its motion is not resolved."""
-    if phase.cross is None or phase.sensors[sensor].header.quantity not in phase.unresolved:
+def _least_of_cross(probe: CrossProbe, phase: PhaseSummary, sensor: str) -> Floats | float:
+    """Return the least meaningful difference of a probe in a phase, of each axis (3,) or of all; larger if the motion
+    hardly determines it or is not resolved.
+    """
+    if phase.cross is None:
         return probe.resolution
-    return max(probe.resolution, probe.unresolved(phase.cross))
+    least = np.maximum(probe.resolution, probe.uncertainty(phase.cross, sensor))
+    is_resolved = phase.sensors[sensor].header.quantity not in phase.unresolved
+    return least if is_resolved else np.maximum(least, probe.unresolved(phase.cross))
 
 
 def _group(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:

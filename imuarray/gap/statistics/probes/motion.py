@@ -178,6 +178,22 @@ def information_on_delay(cross: Cross, sensor: str) -> Floats:
     )
 
 
+def uncertainty_of_delay(cross: Cross, sensor: str) -> Floats:
+    """Return the least meaningful difference (3,) of the delays, in s: `_UNCERTAIN` standard deviations by the noise,
+    at most the phase; 0 without a reference.
+    """
+    information = information_on_delay(cross, sensor)
+    longest_s = (cross.phase.end_ns - cross.phase.start_ns) * 1e-9
+    deviation_s = 1 / np.sqrt(np.maximum(np.nan_to_num(information), 1 / longest_s**2))
+    return np.where(np.isfinite(information), _UNCERTAIN * deviation_s, 0.0)
+
+
+_UNCERTAIN = 2.0
+"""Standard deviations of a delay, by the noise of the sensor, below which a difference has no meaning. Of an axis about
+which the box hardly turns, the delay is that of cross-talk and noise, and its distribution has long tails.
+"""
+
+
 def _changes_of(joint: _JointMoments, gains: Floats) -> Floats:
     """Return the mean square (3,) of the change from window to window of the product of gains (3, 3) and reference."""
     changes = joint.changes[np.ix_(AXES + 3, AXES + 3)]
@@ -375,6 +391,7 @@ PROBES: Probes = {
         delay,
         unit="s",
         resolution=_OF_A_CONVERSION_S,
+        uncertainty=uncertainty_of_delay,
         unresolved=lambda cross: _OF_WINDOWS * cross.window_s,
     ),
     "motion_delay_rate": ArrayProbe(

@@ -85,12 +85,14 @@ class LogProbe(Probe):
 @dataclass(frozen=True)
 class CrossProbe(Probe):
     """Probe of one sensor compared with the others of the array, at rest or (`in_motion`) in motion; `resolution` is
-    the least meaningful difference, and `unresolved` returns it for a motion with changes that the rows do not resolve.
+    the least meaningful difference, `uncertainty` returns that for what the motion determines of each axis (3,) or of
+    all, and `unresolved` that for a motion with changes that the rows do not resolve.
     """
 
     statistic: Callable[[Cross, str], Floats]
     in_motion: bool = False
     resolution: float = 0.0
+    uncertainty: Callable[[Cross, str], Floats | float] = lambda _, __: 0.0
     unresolved: Callable[[Cross], float] = lambda _: 0.0
 
 
