@@ -47,7 +47,9 @@ class Autocorrelation:
 
 
 class Autocovariance:
-    """Adds up products of `columns` series with themselves `lags` rows on; ValueError if a segment isn't longer."""
+    """Adds up the products of each of `columns` series with itself, up to `lags` rows later. ValueError if a segment is
+    not longer than that.
+    """
 
     def __init__(self, lags: int = LAGS, columns: int = 1, segment_rows: int = SEGMENT) -> None:
         if lags < 1 or columns < 1 or segment_rows < 2 * (lags + 1):

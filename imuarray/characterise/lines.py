@@ -87,13 +87,13 @@ class NoiseFloor:
     spectrum_freedom: Floats
 
     def level(self, probability: float) -> Floats:
-        """Return density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
+        """Return the density (b,) that noise exceeds with `probability` in a bin, by Fisher's F distribution."""
         return np.asarray(
             self.density * _ratio_above(self.spectrum_freedom.tobytes(), self.freedom.tobytes(), probability)
         )
 
     def exceedance(self, density: Floats, at: Sequence[int]) -> Floats:
-        """Return probability (p,) that noise exceeds `density` of a spectrum in the floor's bins number `at` (p,)."""
+        """Return the probability (p,) that noise exceeds `density` of a spectrum in the bins number `at` (p,)."""
         places = np.asarray(at, np.intp)
         ratio = density[self.bins[places]] / self.density[places]
         return np.asarray(fdtrc(self.spectrum_freedom[places], self.freedom[places], ratio))
@@ -427,7 +427,7 @@ def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_a
 
 
 def _three_bins(offset: float) -> float:
-    """Sum of W^2 over the peak's bin and its two neighbours: 1.5 in the middle of a bin, 1.47 between two."""
+    """Return the sum of W^2 over the peak's bin and its neighbours: 1.5 in the middle of a bin, 1.47 between two."""
     return 3 * (2 + offset**2) * (4 + offset**2) / (4 - offset**2) ** 2 * _lobe(offset)
 
 

@@ -117,7 +117,7 @@ def command(options: ImportOptions) -> None:
 
 @contextmanager
 def _disk_errors() -> Iterator[None]:
-    """State of an import for which there is no space that nothing was imported, where a log says "recorded"."""
+    """Let the error of a full disk say that nothing was "imported"; the writer of the log says "recorded"."""
     try:
         yield
     except DiskFullError as error:

@@ -180,14 +180,14 @@ def _print(summary: dict[str, Any]) -> None:
 
 
 _UNLIMITED = 1 << 20
-"""Columns of an output that is no terminal, and for which COLUMNS is not set."""
+"""Width in characters of an output that is not a terminal, if COLUMNS is not set: lines are not wrapped."""
 
 _LEAST_WIDTH = 40
 
 
 def _print_line(text: str) -> None:
-    """Print a line with control characters escaped, because it may contain text from a file. One that is longer than
-    the terminal is wide goes on in further lines, indented.
+    """Print a line with control characters escaped, because it may contain text from a file. A line that is wider
+    than the terminal is continued on indented lines.
     """
     width = max(get_terminal_size((_UNLIMITED, 24)).columns, _LEAST_WIDTH)
     for line in wrap(printable(text), width, subsequent_indent=" " * 6, break_on_hyphens=False, break_long_words=False):

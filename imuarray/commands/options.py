@@ -51,7 +51,7 @@ json_option = click.option("--json", "as_json", is_flag=True, help="print one JS
 
 
 class NumberRange(click.FloatRange):
-    """A number in a range; "nan", which no comparison refuses, is none."""
+    """A number in a range. "nan", which comparisons with the ends would accept, is refused."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number; a usage error states what is allowed."""
@@ -169,7 +169,7 @@ def names_option(
 
 
 def only_option(help: str) -> Callable[[_Decorated], _Decorated]:
-    """Return the option for the names of the only sensors that a command shall take; by default none are named."""
+    """Return the option that restricts a command to sensors, by their names; empty by default, for all sensors."""
     return names_option("--only", "--sensor", "only", metavar="SENSOR,...", help=help, may_be_empty=False)
 
 

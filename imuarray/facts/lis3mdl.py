@@ -1,7 +1,7 @@
 """LIS3MDL magnetometer: STMicroelectronics data sheet DocID024204 Rev 6, register list.
 
-Facts LIS-01 ... LIS-17. Interrupts are left out, but for the low byte of their threshold, on which nothing depends
-while they are off.
+Facts LIS-01 ... LIS-17. Interrupts are omitted except the low byte of their threshold, which has no effect while they
+are off.
 """
 
 from imuarray.facts.registers import Register

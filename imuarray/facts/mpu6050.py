@@ -1,7 +1,7 @@
 """MPU-6050 six-axis sensor: InvenSense register map RM-MPU-6000A rev. 4.2 (19 Aug 2013).
 
-Facts INV-01, INV-10 ... INV-29. Registers of the auxiliary bus and of motion detection are left out, but for the data
-byte of its first slave, on which nothing depends while that bus is off.
+Facts INV-01, INV-10 ... INV-29. Registers of the auxiliary bus and of motion detection are omitted, except the data
+byte of the first slave on that bus, which has no effect while the bus is off.
 """
 
 from imuarray.facts.registers import Register

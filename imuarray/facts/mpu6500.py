@@ -1,7 +1,7 @@
 """MPU-6500 six-axis sensor, and the MPU-9250 that holds one: InvenSense register map RM-MPU-9250A rev. 1.4 (2013).
 
 Facts INV-70 ... INV-78, INV-96 ... INV-99, INV-110 ... INV-116. Registers of interrupts and of motion detection are
-left out, and of the auxiliary bus those of the fifth slot but for its control.
+omitted, and those of the fifth slot of the auxiliary bus except its control register.
 """
 
 from imuarray.facts.registers import Register

@@ -67,7 +67,7 @@ class Field:
 @dataclass(frozen=True)
 class Register:
     """One byte of a chip's map: where it is, who may write it, what it holds after power-on, which bits are reserved,
-    and how many bytes are read from there on to look at it without disturbing a chip that measures.
+    and how many bytes are read from there on to read it back without disturbing a chip that measures.
 
     `bank`: which of several maps it is in, of a chip that has more than one.
     """

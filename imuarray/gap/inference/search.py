@@ -124,8 +124,8 @@ def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
 
 
 def responses(trials: Sequence[Hypothesis], members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
-    """Return the causes of members that change their response to motion and gravity, if all shared trials are noise: no
-    such noise resembles them, so what is shared is searched beside them.
+    """Return the causes of members that change their response to motion and gravity, if all shared trials are noise:
+    noise does not resemble them, so shared effects are searched in addition to them.
     """
     if any(trial.name != CommonMode.name for trial in trials):
         return ()
@@ -384,8 +384,8 @@ def _promising(
     causes: Mapping[Unit, tuple[Evaluation, ...]],
     run: Run,
 ) -> dict[Unit, Sequence[FittedHypothesis]]:
-    """Return the looks at the shared trials of each family that gain beside the `causes` of members, without the
-    families in which none gains.
+    """Return the looks at the shared trials of each family that gain in addition to the `causes` of members, without
+    the families in which none gains.
 
     All are looked at first, which needs few replicates of a family's state. All replicates of a state that no trial
     improves would cost more than the looks.

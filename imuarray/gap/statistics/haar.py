@@ -114,7 +114,7 @@ def _change_powers(lines: Floats, changes: Sequence[tuple[int, int, int, int]]) 
 
 
 class _Level:
-    """Sums over a number of rows: keeps the last sums, which the next differences need, and the begin of the next
+    """Sums over a number of rows: keeps the last sums, which the next differences need, and the start of the next
     pair.
     """
 

@@ -46,7 +46,7 @@ def outlier(runs: Runs) -> Floats:
 
 
 def creep(runs: Runs) -> Floats:
-    """Return the slope of the mean profile over the log of the time since the begin of the run."""
+    """Return the slope of the mean profile over the log of the time since the start of the run."""
     times = _TIMES - _TIMES.mean()
     return np.asarray(times @ runs.mean_profile / (times @ times))
 
