@@ -66,8 +66,8 @@ def factory_change(codes: bytes) -> Floats:
 @dataclass(frozen=True)
 class HalfTest:
     """The self-test of one half of a die: `at_rest` and `deflected` are written before the two series of readings that
-    it compares. `limits` are those of the change, in the unit of the test, and `allowed` states them in words; `still` is
-    the largest standard deviation at rest. The sign of a change matters only if it `is_signed`.
+    it compares. `limits` are those of the change, in the unit of the test, and `allowed` states them in words; `still`
+    is the largest standard deviation at rest. The sign of a change matters only if it `is_signed`.
     """
 
     at_rest: Setting
