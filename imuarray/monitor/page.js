@@ -160,9 +160,9 @@ function tiles(now) {
   const left = disk && disk.left_s !== null ? `about ${duration(disk.left_s)} of logging` : "";
   const short = disk && disk.left_s !== null && disk.left_s < 3600;
   byId("tiles").replaceChildren(
-    tile("Frame rate", `${shown(now.rate_hz, 1)} Hz`, `${now.frame_rate_hz ? `of ${Number(now.frame_rate_hz.toPrecision(5))} asked for, ` : ""}${duration(now.ends_s - now.begins_s)} recorded`),
+    tile("Frame rate", `${shown(now.rate_hz, 1)} Hz`, `${now.frame_rate_hz ? `of ${Number(now.frame_rate_hz.toPrecision(5))} requested, ` : ""}${duration(now.ends_s - now.begins_s)} recorded`),
     tile("Missed", whole(now.missed), "frames since the log began", now.missed > 0),
-    tile("Delayed", whole(now.delayed), `frames, by over a quarter of a period, ${part}`, false),
+    tile("Delayed", whole(now.delayed), `frames by more than a quarter of a period, ${part}`, false),
     tile("Events", whole(events), kinds || "none", now.problems > 0),
     tile("Disk left", disk ? `${(disk.free_bytes / 2 ** 30).toFixed(1)} GiB` : "–", left, short),
     tile("Newest row", now.quiet_s < 3 ? "now" : `${duration(now.quiet_s)} ago`, now.phase ? `phase ${now.phase}` : "",
@@ -186,17 +186,17 @@ function axes(columns, values, smalls, use) {
   return list;
 }
 
-// What is fused while it is recorded waits for all sensors.
-function behind(result) {
+// A result that is fused during the recording waits for all sensors.
+function delayText(result) {
   const newest = Math.max(...Object.values(result.quantities).map((one) => one.trace.t.at(-1) ?? 0));
-  return newest < -0.5 ? ` It is ${shown(-newest, 1)} s behind.` : "";
+  return newest < -0.5 ? ` It is delayed by ${shown(-newest, 1)} s.` : "";
 }
 
 function fused(now) {
   const box = byId("fused");
   const result = now.fused;
   write(byId("fused-hint"), result
-    ? `${result.technique === "mean" ? "Simple average of all sensors" : `Technique: ${result.technique}`}, box frame, with ${result.calibrated ? "the calibration given" : "the data sheets’ values"}. Noise is the scatter from frame to frame.${behind(result)}`
+    ? `${result.technique === "mean" ? "Simple average of all sensors" : `Technique: ${result.technique}`}, box frame, with ${result.calibrated ? "the given calibration" : "data-sheet values"}. Noise is the scatter from frame to frame.${delayText(result)}`
     : `Not fused: ${now.not_fused}`);
   const quantities = result ? Object.entries(result.quantities) : [];
   const signature = quantities.map(([name]) => name).join();
@@ -315,7 +315,7 @@ function health(now) {
 }
 
 const STATES = {
-  "being written": "being written", finished: "the log has ended", interrupted: "interrupted: nobody writes it any more",
+  "being written": "being written", finished: "the log has ended", interrupted: "interrupted: no program writes it any more",
   waiting: "waiting for the log",
 };
 
@@ -330,7 +330,7 @@ function show(now) {
   const whatIs = now.begins_s !== null;
   byId("main").hidden = !whatIs;
   if (!whatIs) {
-    write(byId("about"), "Nothing has been recorded yet; it is shown here as soon as there is something.");
+    write(byId("about"), "Nothing has been recorded yet; the page shows the log as soon as it has rows.");
     return;
   }
   write(byId("about"), `${now.source}, time 0 is ${now.epoch}`);
@@ -338,7 +338,7 @@ function show(now) {
   fused(now);
   events(now);
   sensors(now);
-  write(byId("foot"), `imuarray monitor; curves show the smallest and the largest value of every piece of the last seconds.`);
+  write(byId("foot"), `imuarray monitor; curves show the smallest and the largest value of short stretches of the last seconds.`);
 }
 
 // ---- asking --------------------------------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ async function ask() {
     byId("connection").hidden = false;
     byId("state").dataset.state = "lost";
     write(byId("state-text"), "no connection");
-    write(byId("connection"), `The monitor does not answer; what is shown is old. The page goes on trying, next in ${duration(wait / 1e3)}.`);
+    write(byId("connection"), `The monitor does not answer; the page shows old data. It tries again in ${duration(wait / 1e3)}.`);
     console.warn(error);
   }
   timer = setTimeout(ask, wait);

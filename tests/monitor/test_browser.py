@@ -106,7 +106,7 @@ def test_the_page_reports_a_stopped_monitor_and_reconnects(log_path: Path, tmp_p
             first.kill()
             first.wait(60)
             await page.until(f"{state} === 'no connection'")
-            assert "goes on trying" in await page.value("document.getElementById('connection').textContent")
+            assert "tries again in" in await page.value("document.getElementById('connection').textContent")
             with serve_page(log_path, "--port", port):
                 await page.until(f"{state} === 'being written'")
                 assert await page.value("document.getElementById('connection').hidden")
