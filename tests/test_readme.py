@@ -22,6 +22,7 @@ import pytest
 import imuarray as ia
 from imuarray.cli import COMMANDS, main, program
 from imuarray.fuse import read_fused
+from imuarray.simulate import load_model
 
 ROOT = Path(__file__).parents[1]
 ROOT_PAGES = sorted(ROOT.glob("*.md"))
@@ -216,11 +217,14 @@ def test_every_command_is_explained_or_shown() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")], ids=lambda page: page.stem)
-def test_an_array_example_is_an_array(page: Path, tmp_path: Path) -> None:
+def test_an_example_of_an_array_or_a_model_is_valid(page: Path, tmp_path: Path) -> None:
     (example,) = blocks(page, "toml")
     path = tmp_path / "mine.toml"
     path.write_text(example, encoding="utf-8")
-    assert [sensor.name for sensor in ia.load_array(path).sensors] == ["Front"]
+    if page.stem == "simulate":
+        assert load_model(path).name == "mine"
+    else:
+        assert [sensor.name for sensor in ia.load_array(path).sensors] == ["Front"]
 
 
 def prose(page: Path) -> str:
