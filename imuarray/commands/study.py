@@ -58,7 +58,7 @@ class StudyOptions:
     array: Path | None = option(
         metavar="CONFIG",
         help=(
-            "determine what the number and the mounting of this array's gyroscopes gain, instead; the result is printed"
+            "print what the number and the mounting of this array's gyroscopes gain, instead of the experiments"
         ),
     )
     quick: bool = option(help="two seeds of short logs: enough to see what it does, but not for conclusions")
