@@ -57,9 +57,7 @@ class StudyOptions:
     )
     array: Path | None = option(
         metavar="CONFIG",
-        help=(
-            "print what the number and the mounting of this array's gyroscopes gain, instead of the experiments"
-        ),
+        help=("print what the number and the mounting of this array's gyroscopes gain, instead of the experiments"),
     )
     quick: bool = option(help="two seeds of short logs: enough to see what it does, but not for conclusions")
     workers: int = parameter(workers_option)
