@@ -87,6 +87,7 @@ def test_probes_of_spread_scatter_and_outlier() -> None:
     robust = 1.4826 * np.median(np.abs(means - np.median(means)))
     np.testing.assert_allclose(value("run_spread", found), np.log(robust))
     np.testing.assert_allclose(value("run_scatter", found), np.log(means.var(ddof=1) / 0.25))
+    np.testing.assert_allclose(value("run_rms", found), 13.498677, rtol=1e-6)
     np.testing.assert_allclose(value("run_outlier", found), np.log(np.sqrt(3) * (40 - 2.5) / robust))
 
 

@@ -19,7 +19,7 @@ from imuarray.gap.statistics.probes.probe import once
 from imuarray.gap.statistics.runs import divide
 from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
 
-RUN_TO_RUN = ("run_spread", "run_scatter", "run_two_states", "run_shared_states", "run_outlier", "mean")
+RUN_TO_RUN = ("run_spread", "run_scatter", "run_rms", "run_two_states", "run_shared_states", "run_outlier", "mean")
 """Probes that change if boots differ."""
 
 _BEYOND_RUNS = 2.7
@@ -79,7 +79,7 @@ def rarer(means: Floats, variances: Floats) -> Booleans | None:
     return upper if upper.sum() * 2 <= len(upper) else ~upper
 
 
-_TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
+_TRACES = ("mean", "level", "run_spread", "run_scatter", "run_rms", "run_outlier")
 _WITHIN = ("mean_halves", "wander", "mean_return", "noise_excess", "allan_longest", "band_1", "mean", "level")
 """Probes that change if the level steps within a log."""
 

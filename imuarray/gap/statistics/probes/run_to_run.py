@@ -25,6 +25,13 @@ def scatter(runs: Runs) -> Floats:
     return np.asarray(log(runs.means.var(axis=0, ddof=1)) - log((runs.errors**2).mean(axis=0)))
 
 
+def rms(runs: Runs) -> Floats:
+    """Return the standard deviation of the runs' means. The usual scatter of a part is anything between zero and the
+    largest usual one: its log has a long lower tail, in whose scale a scatter of twice the largest usual one is small.
+    """
+    return np.asarray(runs.means.std(axis=0, ddof=1))
+
+
 def two_states(runs: Runs) -> Floats:
     """Return, for each axis, the log of the ratio of the variance of the runs' means to that within the two groups that
     `divide` returns.
@@ -82,6 +89,7 @@ PROBES: Probes = {
     "run_scatter": _probe(
         "log of the variance of runs' means over white noise's", (*_BOOT, "bias_instability"), VARIANCE, scatter
     ),
+    "run_rms": _probe("standard deviation of runs' means", _BOOT, LEVEL, rms, "{u}"),
     "run_two_states": _probe("log of the runs' variance over that within two groups", _STATES, GENEROUS, two_states),
     "run_shared_states": _probe("the same, for groups that all axes share", _STATES, GENEROUS, shared_states),
     "run_outlier": _probe("log of the farthest run's distance", _STATES, GENEROUS, outlier),
