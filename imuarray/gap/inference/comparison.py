@@ -194,10 +194,10 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
 
 
 ENOUGH: Mapping[int, float] = MappingProxyType({20: 0.35, 28: 0.28, 40: 0.22, 64: 0.16, 96: 0.13})
-"""Numbers of replicates after which no more are simulated if the p-values of single scores and of all scores exceed the
-limit. The limits are so far above `LEVEL` that a gap that all replicates would detect at p = 0.05 by the same scores is
-missed in less than one of two hundred cases. More replicates also determine the scatter and the tails of the scores
-better: with 20 of them, pooled scores can mask a single one that is significant after 128.
+"""Numbers of replicates after which no more are simulated if the p-values of single scores, of pooled ones and of all
+exceed the limit. The limits are so far above `LEVEL` that a gap that all replicates would detect at p = 0.05 by the
+same scores is missed in less than one of two hundred cases. More replicates also determine the scatter and the tails of
+the scores better: with 20 of them, either kind of score can mask the other one, which is significant after 128.
 """
 
 
@@ -428,9 +428,10 @@ def compare_with_base(
         chance = np.array([replicate.values for replicate in simulated])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
-        where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
-        singles, largest = largest_of(equal_shares(normal, pairs.keys)), largest_of(normal)
-        p = min(where.p, p_value(float(singles[0]), singles[1:]))
+        pooled, largest = pooled_scores(normal, pairs.keys), largest_of(normal)
+        where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled)
+        each = (largest_of(equal_shares(normal, pairs.keys)), largest_of(pooled.scores))
+        p = min(where.p, *(p_value(float(scores_of_kind[0]), scores_of_kind[1:]) for scores_of_kind in each))
         if is_decided(count, p, float(largest[0]), float(largest[1:].max())):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
