@@ -189,3 +189,15 @@ def test_the_autocovariance_along_the_axes_of_a_sensor() -> None:
         values = vibration_along(header, [vibration], 0, 2000, lag_s)
         assert values == pytest.approx(np.array([0.2, 0.1, 0.4]) * seconds * counts / 2)
     assert not vibration_along(header, [vibration], 1000, 2000).any()
+
+
+def test_the_same_noise_at_a_lower_rate_of_rows_is_no_vibration() -> None:
+    """At a quarter of the rate, white noise has four times the density; logs of one rate are compared with each other.
+    The only accelerometer has no other that could contradict it.
+    """
+    generator = np.random.default_rng(5)
+    logs = []
+    for rate_hz in (100.0, 25.0):
+        time = np.arange(0, 120e9, 1e9 / rate_hz).astype(np.int64)
+        logs.append({"A": cast(Any, Rows(time, generator.normal(size=(len(time), 3)), UPRIGHT))})
+    assert list(vibrations_of(logs, [[REST], [REST]], [{}, {}])) == [(), ()]

@@ -40,7 +40,7 @@ not at rest.
 MOST_ALONE = 3e-3 * STANDARD_GRAVITY
 """The same in m/s2 for a vibration that only one accelerometer would show."""
 
-_BLOCK_S, _MOST_BLOCKS, _BLOCK_ROWS = 20.0, 24, 1 << 15
+_BLOCK_S, _MOST_BLOCKS, _BLOCK_ROWS = 20.0, 60, 1 << 15
 """Least length, in s, of the parts of a phase in which a vibration is constant; the largest number of parts of a phase,
 and of rows of a sensor that are used in each.
 """
@@ -56,11 +56,16 @@ _INDEPENDENT = 0.35
 median scatters more than a mean.
 """
 
+_SAME_RATE = 0.03
+"""Relative difference of the rates of rows up to which spectra of different logs are compared."""
+
 _STEADY = 0.5
 """Largest relative deviation of an interval between rows in a segment."""
 
-_CERTAIN, _CONFIRMED = 4.5, 2.5
-"""Standard deviations by which a vibration exceeds chance over a phase, and by which each of two sensors shows it."""
+_CERTAIN, _LIKELY, _CONFIRMED = 4.5, 3.0, 2.5
+"""Standard deviations by which a vibration exceeds chance over a phase; by which it does so in a band next to such a
+band, or along another axis; and by which each of two sensors shows it.
+"""
 
 _LEAST_SHARE, _SURE = 0.4, 3.0
 """A sensor contradicts a vibration if it measures less than this share of its power, by at least this number of
@@ -69,6 +74,9 @@ standard deviations.
 
 _QUIET = 0.25
 """Share of the parts of all phases, those with the least power, in which the box is taken as quiet."""
+
+_OF_QUIETEST = 1.27
+"""Standard deviations by which the lowest quarter of normal values lies below their mean."""
 
 _MOST_COHERENCE = 0.98
 """Largest correlation of two axes."""
@@ -126,10 +134,11 @@ def vibrations_of(
             for phase in of_log
         ]
         known = [(number, powers) for number, powers in phases if powers.sensors and len(powers.edges_ns) > 1]
-        quietest = _quietest([powers for _, powers in known])
-        usual = _usual([powers for _, powers in known])
-        for number, powers in known:
-            by_log[number] += _vibrations(quantity, edges_hz, powers, quietest, usual)
+        for group in _groups(known):
+            phases_of_group = [powers for _, powers in group]
+            quietest, usual = _quietest(phases_of_group), _usual(phases_of_group)
+            for number, powers in group:
+                by_log[number] += _vibrations(quantity, edges_hz, powers, quietest, usual)
     return tuple(map(tuple, by_log))
 
 
@@ -171,11 +180,29 @@ class _Pair(NamedTuple):
 
 
 class _Powers(NamedTuple):
-    """Powers by sensor in the parts of a phase between `edges_ns`, and cross-spectra by pair of sensors."""
+    """Powers by sensor in the parts of a phase between `edges_ns`, cross-spectra by pair of sensors, and row rates."""
 
     edges_ns: tuple[int, ...]
     sensors: Mapping[str, _Power]
     pairs: Mapping[tuple[str, str], _Pair]
+    rows_per_s: Mapping[str, float]
+
+
+def _groups(phases: Sequence[tuple[int, _Powers]]) -> list[list[tuple[int, _Powers]]]:
+    """Group phases in which the sensors have the same rates of rows: at another rate, the same noise has another
+    density.
+    """
+    groups: list[list[tuple[int, _Powers]]] = []
+    for number, powers in phases:
+        for group in groups:
+            others = group[0][1].rows_per_s
+            shared = [(rate, others[name]) for name, rate in powers.rows_per_s.items() if name in others]
+            if shared and all(abs(rate / other - 1) < _SAME_RATE for rate, other in shared):
+                group.append((number, powers))
+                break
+        else:
+            groups.append([(number, powers)])
+    return groups
 
 
 def _rows_per_s(sensor: SensorLog) -> float:
@@ -197,8 +224,8 @@ def _powers_of(
 ) -> _Powers:
     """Return the powers of sensors in the parts of a phase."""
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
-    slowest = min((rate for sensor in sensors.values() if (rate := _rows_per_s(sensor)) > 0), default=1.0)
-    part_s = max(_BLOCK_S, 2 * _FEWEST_SEGMENTS * _LEAST_SEGMENT / 2 / slowest)
+    rates = {name: rate for name, sensor in sensors.items() if (rate := _rows_per_s(sensor)) > 0}
+    part_s = max(_BLOCK_S, _FEWEST_SEGMENTS * _LEAST_SEGMENT / min(rates.values(), default=1.0))
     parts = int(min(max(seconds // part_s, 1), _MOST_BLOCKS))
     edges_ns = tuple(np.linspace(phase.start_ns, phase.end_ns, parts + 1).astype(np.int64).tolist())
     by_sensor: dict[str, list[_Power]] = {name: [] for name in sensors}
@@ -223,7 +250,7 @@ def _powers_of(
         for pair, several in by_pair.items()
         if len(several) == parts
     }
-    return _Powers(edges_ns, known, pairs)
+    return _Powers(edges_ns, known, pairs, rates)
 
 
 class _Waves(NamedTuple):
@@ -361,15 +388,24 @@ def _quietest(phases: Sequence[_Powers]) -> dict[str, _Power]:
             np.log(power.density / np.nanmedian(power.density, axis=0)).reshape(len(power.density), -1)
             for power in density.values()
         ]
-    height = np.nanmean(np.concatenate(heights, axis=1), axis=1)
+    values = np.concatenate(heights, axis=1)
+    deviations = np.concatenate([np.repeat(power.deviation, 3, axis=1) for power in density.values()], axis=1)
+    known_deviations = np.where(np.isfinite(values), deviations, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # parts without values
+        height = np.nanmean(values, axis=1)
+        chance = np.nanmean(known_deviations**2, axis=1) / np.isfinite(known_deviations).sum(axis=1)
     is_quiet = height <= np.nanquantile(height, _QUIET)
+    scatter = float(np.nanstd(height))
+    selected = _OF_QUIETEST * float(np.nanmean(chance)) / scatter if scatter > 0 else 0.0  # by chance, as a share
     quietest = {}
     for name, power in density.items():
         known = is_quiet & np.isfinite(power.density).any(axis=(1, 2))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # bands without values
             density_mean, products, deviation = (np.nanmean(each[known], axis=0) for each in power)
-        quietest[name] = _Power(density_mean, products, deviation / math.sqrt(max(int(known.sum()), 1)))
+        share = math.exp(min(selected, 1.0))
+        quietest[name] = _Power(share * density_mean, products, deviation / math.sqrt(max(int(known.sum()), 1)))
     return quietest
 
 
@@ -425,15 +461,17 @@ def _coherence(powers: _Powers, quietest: Mapping[str, _Power]) -> Floats:
     without pairs those of the excess of their spectra. Correlations within chance are 0.
     """
     pairs = powers.pairs.values()
-    if pairs:
-        product = np.nanmean([pair.products for pair in pairs], axis=(0, 1))
-        power = np.nanmean([pair.density for pair in pairs], axis=(0, 1))
-        scatter = np.array([np.square(pair.deviation) for pair in pairs])
-    else:
-        known = powers.sensors.items()
-        product = np.nanmean([power.products - quietest[name].products for name, power in known], axis=(0, 1))
-        scatter = np.array([np.square(power.density * power.deviation[..., None]) / 2 for _, power in known])
-        power = np.nanmean([power.density - quietest[name].density for name, power in known], axis=(0, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # bands without values
+        if pairs:
+            product = np.nanmean([pair.products for pair in pairs], axis=(0, 1))
+            power = np.nanmean([pair.density for pair in pairs], axis=(0, 1))
+            scatter = np.array([np.square(pair.deviation) for pair in pairs])
+        else:
+            known = powers.sensors.items()
+            product = np.nanmean([power.products - quietest[name].products for name, power in known], axis=(0, 1))
+            scatter = np.array([np.square(power.density * power.deviation[..., None]) / 2 for _, power in known])
+            power = np.nanmean([power.density - quietest[name].density for name, power in known], axis=(0, 1))
     deviation = np.sqrt(np.nansum(scatter, axis=(0, 1))) / np.maximum(np.isfinite(scatter).sum(axis=(0, 1)), 1)
     size = np.sqrt(np.maximum(power, 0.0))
     coherence = np.tile(np.eye(3), (len(power), 1, 1))
@@ -524,17 +562,27 @@ def _is_shared(powers: _Powers, names: Sequence[tuple[str, str]], pairs: _Estima
     it. A sensor without a pair contradicts it by its own power.
     """
     mean, deviation = pairs.mean()
-    is_real = mean > _CERTAIN * deviation
+    is_compatible = np.ones(mean.shape, bool)
     for name in dict.fromkeys(name for pair in names for name in pair):
         places = [at for at, pair in enumerate(names) if name in pair]
         estimate = _Estimates(pairs.value[places], pairs.deviation[places]).mean()
-        is_real &= ~_contradicts(estimate.value, estimate.deviation, mean)
+        is_compatible &= ~_contradicts(estimate.value, estimate.deviation, mean)
     for name, power in powers.sensors.items():
         if not any(name in pair for pair in names):
             deviations = power.density * power.deviation[..., None]
             own = _Estimates(power.density[None], deviations[None]).over_parts()
-            is_real &= ~_contradicts(own.value[0], own.deviation[0], mean)
-    return np.asarray(is_real)
+            is_compatible &= ~_contradicts(own.value[0], own.deviation[0], mean)
+    return _with_neighbours(is_compatible & (mean > _CERTAIN * deviation), is_compatible & (mean > _LIKELY * deviation))
+
+
+def _with_neighbours(is_real: Booleans, is_likely: Booleans) -> Booleans:
+    """Return where a vibration is real, by band and axis (b, 3), or likely and next to a real one: in a neighbouring
+    band or along another axis.
+    """
+    near = is_real.any(axis=1, keepdims=True) | np.zeros_like(is_real)
+    near[1:] |= is_real[:-1]
+    near[:-1] |= is_real[1:]
+    return np.asarray(is_real | (near & is_likely))
 
 
 def _contradicts(value: Floats, deviation: Floats, expected: Floats) -> Booleans:
@@ -575,13 +623,15 @@ def _excess(quantity: str, powers: _Powers, quietest: Mapping[str, _Power], widt
     phase = phase._replace(deviation=np.sqrt(phase.deviation**2 + quiet_deviation**2 + (_STABLE * quiet) ** 2))
     mean, mean_deviation = phase.mean()
     shows = phase.value > _CONFIRMED * phase.deviation
-    is_real = mean > _CERTAIN * mean_deviation
+    is_compatible = np.ones(mean.shape, bool)
     for at in range(len(names)):
-        is_real &= ~_contradicts(phase.value[at], phase.deviation[at], mean)
-    confirmed = is_real & (shows.sum(axis=0) > 1)
+        is_compatible &= ~_contradicts(phase.value[at], phase.deviation[at], mean)
+    is_certain = is_compatible & (mean > _CERTAIN * mean_deviation)
+    is_confirmed = is_certain & (shows.sum(axis=0) > 1)
     would_show = mean > _SURE * phase.deviation
-    is_alone = is_real & (shows.sum(axis=0) == 1) & (would_show.sum(axis=0) <= 1)
-    alone = np.nan_to_num((np.where(is_alone, mean, 0.0) * widths_hz[:, None]).sum(axis=0))
-    is_faint = alone < MOST_ALONE**2
-    is_real = confirmed | (is_alone & is_faint if quantity == "specific_force" else False)
+    is_alone = is_certain & (shows.sum(axis=0) == 1) & (would_show.sum(axis=0) <= 1)
+    alone = (np.where(is_alone, mean, 0.0) * widths_hz[:, None]).sum(axis=0)
+    is_faint = (alone < MOST_ALONE**2) & (quantity == "specific_force")
+    is_likely = is_compatible & (mean > _LIKELY * mean_deviation)
+    is_real = _with_neighbours(is_confirmed | (is_alone & is_faint), is_likely)
     return _over_time(parts.mean(), mean, is_real, _relative(powers))
