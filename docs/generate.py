@@ -222,6 +222,8 @@ def _effects() -> Pages:
             _docstring(kind),
             "## Parameters\n",
             _parameters(kind),
+            "`spans` limits the effect to stretches of time: three numbers for each, the number of a run, and the"
+            " beginning and the end in it in seconds. Without any, the effect always acts.\n",
         ]
         if name in EXAMPLES:
             text.append(_picture(name))

@@ -39,7 +39,9 @@ class MuxConfig(BaseModel):
 
     model_config = _STRICT
     chip: Literal["pca9544a"]
+    """The multiplexer's chip."""
     address: Annotated[int, Field(ge=0x70, le=0x77)]
+    """Its address on the root bus, by its pins A0, A1 and A2."""
 
 
 class SensorConfig(BaseModel):
@@ -47,6 +49,7 @@ class SensorConfig(BaseModel):
 
     model_config = _STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+    """Name of the sensor in logs, results and messages: a letter, then letters, digits and underscores."""
     chip: str
     """A chip of `imuarray.chips`; any name for a sensor with a driver in the kernel."""
     quantity: Literal["specific_force", "angular_rate", "magnetic_field"] | None = None
@@ -54,10 +57,19 @@ class SensorConfig(BaseModel):
     address: int = 0
     """Address of the chip on its I2C bus; 0 for a chip on SPI and for one with a driver in the kernel."""
     channel: Annotated[int, Field(ge=0, le=3)] | None = None
+    """Channel of the multiplexer; None: the chip is before the multiplexer, or there is none."""
     bus: str | None = None
+    """A bus of the sensor's own: "/dev/i2c-11" (a channel that the kernel drives), "/dev/spidev0.1" (a chip select) or
+    "iio:NAME@PLACE" (a device with a driver in the kernel); None: that of the array.
+    """
     range: float | None = None
+    """Measuring range in g, dps or gauss, as the data sheet lists it; required for chips that have ranges. None leaves
+    the scale of a device with a driver in the kernel unchanged.
+    """
     rate_hz: float | None = None
+    """Data rate of the chip in Hz, for chips that can set one; None: the chip's default."""
     bandwidth_hz: float | None = None
+    """The -3 dB bandwidth of the chip's filter in Hz, for chips that can set one; None: the default at this rate."""
     spi_clock_hz: Annotated[int, Field(ge=1)] | None = None
     """Clock of a chip on SPI in Hz; None: the fastest clock that the chip supports."""
     fifo: bool = False
@@ -75,7 +87,9 @@ class SensorConfig(BaseModel):
     trigger: str | None = None
     """The trigger of each sample of a device with a driver in the kernel, if that driver does not provide a trigger."""
     axes: str = "+X+Y+Z"
+    """The box axes along which the sensor's x, y and z point; a left-handed triad is refused."""
     position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+    """Position of the sensing element in the box frame, in mm."""
 
     @model_validator(mode="before")
     @classmethod
@@ -357,8 +371,11 @@ class _ArrayTable(BaseModel):
 
     model_config = _STRICT
     name: Annotated[str, Field(min_length=1)]
+    """Name of the array."""
     bus: str | None = None
+    """URL of the bus, such as "i2c:/dev/i2c-1"; `--bus` overrides it, and one of the two is required to record."""
     mux: MuxConfig | None = None
+    """The multiplexer; None: there is none, or the kernel drives it."""
 
 
 class _ArrayFile(BaseModel):

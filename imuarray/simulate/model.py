@@ -156,7 +156,9 @@ class _ModelTable(BaseModel):
 
     model_config = _STRICT
     name: Annotated[str, Field(min_length=1)]
+    """Name of the model."""
     about: str = ""
+    """A description."""
 
 
 class _DesignTable(BaseModel):
@@ -164,9 +166,13 @@ class _DesignTable(BaseModel):
 
     model_config = _STRICT
     chip: str
+    """The chip, as configurations name it."""
     unit: Literal["g", "dps", "gauss"] | None = None
+    """Unit of the chip; required only for a chip that `imuarray.chips` does not contain."""
     range: float | None = None
+    """Measuring range in this unit; None: every range of the chip."""
     noise_bandwidth_hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """The -3 dB bandwidth in Hz to which the white noise refers; None: the configured bandwidth."""
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
