@@ -5,6 +5,7 @@ readers can distinguish. A notebook shows the returned figures; `figure.savefig(
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,11 @@ _MOST_POINTS = 4000
 """Largest number of points of a curve over time. Longer curves are drawn by the smallest and the largest value of each
 stretch of rows.
 """
+
+
+def can_draw() -> bool:
+    """Return whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -245,7 +245,7 @@ def _score(folder: Path, planned: list[Any]) -> Figures:
 
 def _write(folder: Path, figures: Figures, command: str) -> None:
     from imuarray.errors import MissingExtraError
-    from imuarray.report.page import can_draw
+    from imuarray.figures import can_draw
     from imuarray.report.validation_figures import plots_of
     from imuarray.report.validation_page import markdown, write_validation_page
     from imuarray.validation.case import write_json

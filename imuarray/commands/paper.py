@@ -57,9 +57,10 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
     if gap:
         _gap(output, as_json, force)
         return
+    from imuarray.figures import can_draw
     from imuarray.studies.paper import recompute, render_text
     from imuarray.studies.paper.results import as_json as to_json
-    from imuarray.studies.paper.results import can_draw, write
+    from imuarray.studies.paper.results import write
 
     result = recompute()
     paths = write(result, output, force=force) if output else ()
@@ -108,8 +109,8 @@ def _gap(output: Path | None, as_json: bool, force: bool) -> None:
 def _write_replica(folder: Path, replica: Replica, observed: ExperimentData) -> None:
     """Write the numbers, and the page as far as optional packages allow."""
     from imuarray.errors import MissingExtraError
+    from imuarray.figures import can_draw
     from imuarray.studies.paper.page import write_paper_page
-    from imuarray.studies.paper.results import can_draw
 
     numbers, page = (folder / name for name in _REPLICA_FILES)
     write_text(numbers, json.dumps(replica.as_json(), indent=1, allow_nan=False) + "\n", force=True)

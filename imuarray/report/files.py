@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from imuarray.calibrate import Calibration, load_calibration
 from imuarray.errors import LogError
+from imuarray.figures import can_draw
 from imuarray.fuse import read_fused_head
 from imuarray.fuse.fused_file import is_fused
 from imuarray.importers.plausibility import report_of
@@ -25,7 +26,7 @@ from imuarray.log import Log, open_log
 from imuarray.report.calibration_page import calibration_sections, calibration_summary, residual_section
 from imuarray.report.fused_page import fused_sections, fused_summary, techniques_section
 from imuarray.report.log_page import doubt_sections, log_sections, log_summary
-from imuarray.report.page import NO_FIGURES, Section, Verdict, can_draw, write_page
+from imuarray.report.page import NO_FIGURES, Section, Verdict, write_page
 from imuarray.report.verdicts import calibration_verdict, joined, recording_verdict
 from imuarray.spelling import guess_file
 

@@ -11,6 +11,7 @@ from os import PathLike
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.figures import can_draw
 from imuarray.gap.findings.diagnosis import (
     EVEN,
     CandidateEvaluation,
@@ -62,7 +63,6 @@ from imuarray.report.page import (
     Section,
     Table,
     Verdict,
-    can_draw,
     highlight,
     markup,
     write_page,

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from importlib.util import find_spec
 from os import PathLike
 from typing import TYPE_CHECKING, Literal
 
@@ -157,11 +156,6 @@ class Verdict:
     def sign(self) -> str:
         """Return a symbol of the level, for readers who do not see its colour."""
         return {"good": "✓", "doubtful": "▲", "bad": "✕", "neutral": "•"}[self.level]
-
-
-def can_draw() -> bool:
-    """Return whether matplotlib is installed."""
-    return find_spec("matplotlib") is not None
 
 
 def highlight(text: str) -> str:

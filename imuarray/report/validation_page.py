@@ -11,10 +11,11 @@ from os import PathLike
 from types import MappingProxyType
 from typing import Any
 
+from imuarray.figures import can_draw
 from imuarray.gap.findings.text import share
 from imuarray.printable import counted
 from imuarray.report.figure_style import SmallFigure
-from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, highlight, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, highlight, write_page
 from imuarray.report.validation_figures import plots_of
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP

@@ -305,7 +305,7 @@ def as_json(figures: Figures) -> dict[str, Any]:
             for item in figures.curves
         ],
         "power": {**power._asdict(), "about": "detected and all cases, by mechanism and severity"},
-        "confusion": {**confusion._asdict(), "about": "first cause said, by what was at work"},
+        "confusion": {**confusion._asdict(), "about": "first reported cause, by active mechanism"},
         "reliability": [item._asdict() for item in figures.reliability],
         "closures": [item._asdict() for item in figures.closures],
         "world": figures.world,

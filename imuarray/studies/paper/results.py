@@ -10,7 +10,6 @@ import csv
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Context, localcontext
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from textwrap import wrap
@@ -18,6 +17,7 @@ from typing import Any
 
 from imuarray.atomic import write_text
 from imuarray.errors import ImuArrayError, OutputExistsError
+from imuarray.figures import can_draw
 from imuarray.studies.paper import systematic, variation
 from imuarray.studies.paper.conclusions import conclusions, slips, stated
 from imuarray.studies.paper.tables import RecomputedRow, tally
@@ -210,11 +210,6 @@ def hanging(head: str, text: str) -> list[str]:
     """Return a text in lines of at most 100 columns, the first of which begins with `head`; the others are indented."""
     lines = wrap(text, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)
     return [line.replace(_NO_BREAK, " ") for line in lines]
-
-
-def can_draw() -> bool:
-    """Return whether matplotlib is installed."""
-    return find_spec("matplotlib") is not None
 
 
 def as_json(result: Mapping[str, Any]) -> str:
