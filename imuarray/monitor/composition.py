@@ -180,7 +180,7 @@ def fused_beside(path: Path, epoch: str, start_ns: int, result_path: Path | None
     cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
     whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
     if result_path is None:
-        names = [path.with_name(f"{stem}_choose_fused{path.suffix}") for stem in (path.stem, whole)]
+        names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in (path.stem, whole)]
     else:
         names = [result_path.with_stem(result_path.stem + part), result_path]
     for candidate in dict.fromkeys(names):

@@ -93,7 +93,6 @@ def test_sensors_of_a_quantity_are_fused_by_their_mean(logger: Logger, log_path:
     np.testing.assert_allclose(fused.noise["angular_rate"], swing / math.sqrt(2), rtol=0.01)
 
 
-@pytest.mark.slow
 def test_a_fused_file_of_the_log_is_shown_instead_of_the_mean(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
     time = np.arange(300, dtype=np.int64) * 10_000_000
