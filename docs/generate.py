@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import json
 import re
 import sys
 import textwrap
@@ -126,9 +127,15 @@ def _fields_of_schema(kind: type[BaseModel]) -> str:
     notes = _attribute_docstrings(kind)
     rows = []
     for name, field in kind.model_fields.items():
-        default = "required" if field.is_required() else f"`{field.get_default(call_default_factory=True)!r}`"
-        rows.append((f"`{field.alias or name}`", _type_name(field.annotation), default, _one_line(notes.get(name, ""))))
+        default = "required" if field.is_required() else _toml_text(field.get_default(call_default_factory=True))
+        meaning = _one_line(notes.get(name, "")).replace("None:", "not set:")
+        rows.append((f"`{field.alias or name}`", _type_name(field.annotation), default, meaning))
     return _table(("key", "type", "default", "meaning"), rows)
+
+
+def _toml_text(value: Any) -> str:
+    """A default as a file would state it; "not set" for None and for a table, which TOML files omit."""
+    return "not set" if value is None or isinstance(value, BaseModel) else f"`{json.dumps(value, ensure_ascii=False)}`"
 
 
 def _type_name(kind: Any) -> str:
@@ -138,7 +145,7 @@ def _type_name(kind: Any) -> str:
         return plain[kind]
     origin, inside = get_origin(kind), get_args(kind)
     if origin is Literal:
-        return "one of " + ", ".join(f"`{value!r}`" for value in inside)
+        return "one of " + ", ".join(f"`{json.dumps(value, ensure_ascii=False)}`" for value in inside)
     if origin is Annotated:
         return _type_name(inside[0])
     if origin in (list, tuple, set, frozenset):

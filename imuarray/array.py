@@ -63,8 +63,8 @@ class SensorConfig(BaseModel):
     "iio:NAME@PLACE" (a device with a driver in the kernel); None: that of the array.
     """
     range: float | None = None
-    """Measuring range in g, dps or gauss, as the data sheet lists it; required for chips that have ranges. None leaves
-    the scale of a device with a driver in the kernel unchanged.
+    """Measuring range in g, dps or gauss, as the data sheet lists it; required for chips that have ranges.
+    Without it, a device with a driver in the kernel keeps its scale.
     """
     rate_hz: float | None = None
     """Data rate of the chip in Hz, for chips that can set one; None: the chip's default."""
