@@ -14,9 +14,9 @@ import pytest
 from matplotlib.colors import FuncNorm
 from matplotlib.patches import Rectangle
 
+from imuarray import figures
 from imuarray.errors import OutputExistsError
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Map, Overlay, Pull
-from imuarray.report import page as page_module
 from imuarray.report.gap_figures import farthest, map_figure, outside, overlay_figure, shrink_figure, top_of, use_figure
 from imuarray.report.gap_page import (
     MOST_OVERLAYS,
@@ -79,7 +79,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Page:
 
 @pytest.fixture
 def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
-    monkeypatch.setattr(page_module, "find_spec", lambda name: None)
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
     return page_of(partial_diagnosis(), tmp_path)
 
 

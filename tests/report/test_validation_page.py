@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imuarray import figures as figures_module
 from imuarray.errors import OutputExistsError
-from imuarray.report import page as page_module
 from imuarray.report.validation_figures import (
     alarms_figure,
     closure_figure,
@@ -157,7 +157,7 @@ def test_names_are_escaped(tmp_path: Path) -> None:
 def test_without_matplotlib_the_page_has_only_tables(
     figures: Figures, page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_module, "find_spec", lambda name: None)
+    monkeypatch.setattr(figures_module, "find_spec", lambda name: None)
     path = tmp_path / "page.html"
     write_validation_page(path, figures, command=COMMAND)
     bare = Page(path.read_text(encoding="utf-8"))

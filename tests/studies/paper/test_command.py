@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from imuarray import figures
 from imuarray.cli import main
 from imuarray.studies.paper import SOURCE, recompute, render_text
-from imuarray.studies.paper import results as paper_files
 
 TEXTS = {"paper.json", "pairs.csv", *(f"table{number}.csv" for number in range(1, 12))}
 PICTURES = {"pairs.png", "blending.png", "runs.png"}
@@ -113,7 +113,7 @@ def test_an_unwritable_folder_gives_one_line(tmp_path: Path, capsys: pytest.Capt
 def test_without_matplotlib_tables_and_a_hint_are_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(paper_files, "find_spec", lambda name: None)
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
     assert main(["paper", "-o", str(tmp_path)]) == 0
     assert {path.name for path in tmp_path.iterdir()} == TEXTS
     assert "imuarray[report]" in capsys.readouterr().err

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from imuarray import figures
 from imuarray.cli import main
 from imuarray.errors import MissingExtraError, OutputExistsError
 from imuarray.studies.paper import page as paper_page
 from imuarray.studies.paper import recompute
-from imuarray.studies.paper import results as paper_files
 from imuarray.studies.paper.figures import (
     accelerometer_figure,
     gyro_memory_figure,
@@ -252,7 +252,7 @@ def test_the_command_writes_both_files_and_overwrites_neither(
 def test_the_command_works_without_matplotlib_and_jinja2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(paper_files, "find_spec", lambda name: None)
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
     assert main(["paper", "--replica", "-o", str(tmp_path)]) == 0
     assert "matplotlib" in capsys.readouterr().err
     assert NO_FIGURES in Page((tmp_path / "paper.html").read_text(encoding="utf-8")).summary
