@@ -230,7 +230,7 @@ class UsbipServer:
                     return
                 key.data()
             for client in [client for client in self._clients if client.is_overdue()]:
-                self._drop(client, "said nothing")
+                self._drop(client, "sent nothing")
 
     def shutdown(self) -> None:
         """End `serve_forever`."""

@@ -181,7 +181,7 @@ class BiasCurrentDac(SensorMechanism):
         """Shift each axis by an amount that depends on the part."""
         if site.run_random("bias current").random() >= self.share:
             return
-        site.note("came up in the other state")
+        site.note("started in the other state")
         site.add("bias current", self.step_g, self.step_dps, lambda at_ns, stimulus: 1.0)
 
 

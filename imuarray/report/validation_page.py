@@ -235,7 +235,7 @@ def _causes(figures: Figures, plots: Plots) -> Section:
             " are cases, colour "
             "is the share of the row, red frames mark what is right: no cause, for a mechanism without a name."
         )
-        listed = "; ".join(f"{truth} taken for {said}: {count}" for truth, said, count in wrong[:5])
+        listed = "; ".join(f"{truth} taken for {reported}: {count}" for truth, reported, count in wrong[:5])
         parts.append(Figure(plots["causes"], caption, f"{caption} Most often wrong: {listed}."))
     if wrong:
         caption = f"The most frequent confusions of {len(wrong)}; cases without a reported gap are not included."
@@ -248,12 +248,15 @@ def _confusions(figures: Figures) -> list[tuple[str, str, str]]:
     """Return the active mechanism, the reported cause and the count of each confusion, the most frequent first."""
     confusion = figures.confusion
     confusions = [
-        (count, truth, said)
+        (count, truth, reported)
         for truth, counts, right in zip(confusion.truths, confusion.counts, confusion.right, strict=True)
-        for said, count, is_right in zip(confusion.said, counts, right, strict=True)
-        if count and not is_right and said != NO_GAP
+        for reported, count, is_right in zip(confusion.said, counts, right, strict=True)
+        if count and not is_right and reported != NO_GAP
     ]
-    return [(truth, said, str(count)) for count, truth, said in sorted(confusions, key=lambda confusion: -confusion[0])]
+    return [
+        (truth, reported, str(count))
+        for count, truth, reported in sorted(confusions, key=lambda confusion: -confusion[0])
+    ]
 
 
 def _probabilities(figures: Figures, plots: Plots) -> Section:

@@ -68,12 +68,12 @@ class Fold(NamedTuple):
 
 
 class ConfusablePair(NamedTuple):
-    """Effects that are confused: in `times` of the `cases` in which `effect` was active and a gap was reported, `said`
-    was the first cause.
+    """Effects that are confused: in `times` of the `cases` in which `effect` was active and a gap was reported,
+    `reported` was the first cause.
     """
 
     effect: str
-    said: str
+    reported: str
     times: int
     cases: int
 
@@ -136,19 +136,19 @@ def confusable_pairs(answers: Sequence[Answer]) -> list[ConfusablePair]:
     """Return, for single effects, the other effects reported as the first cause in at least `CONFUSED` of the cases and
     at least two, most frequent first. The diagnosis may report these effects as confusable.
     """
-    said: dict[str, Counter[str]] = {}
+    first_causes: dict[str, Counter[str]] = {}
     for answer in answers:
         if answer.case.kind == "single" and answer.is_detected() and answer.first is not None:
             reported = str(answer.first["effect"])
             for effect in answer.active[0].resembles:
-                said.setdefault(effect, Counter())[effect if answer.is_first_right() else reported] += 1
+                first_causes.setdefault(effect, Counter())[effect if answer.is_first_right() else reported] += 1
     pairs = [
         ConfusablePair(effect, other, count, sum(counts.values()))
-        for effect, counts in said.items()
+        for effect, counts in first_causes.items()
         for other, count in counts.items()
         if other != effect and count >= max(2, CONFUSED * sum(counts.values()))
     ]
-    return sorted(pairs, key=lambda answer: (-answer.times / answer.cases, answer.effect, answer.said))
+    return sorted(pairs, key=lambda pair: (-pair.times / pair.cases, pair.effect, pair.reported))
 
 
 def _fold(part: str, chances: Floats, right: Sequence[bool]) -> Fold:
@@ -207,7 +207,7 @@ def program(runs: tuple[Path, ...]) -> None:
             f"Brier score {claim.score:.3f}, {claim.causes} causes"
         )
     for pair in confusable_pairs(answers):
-        click.echo(f"{pair.effect}: {pair.said} said first in {pair.times} of {pair.cases}")
+        click.echo(f"{pair.effect}: {pair.reported} reported first in {pair.times} of {pair.cases}")
 
 
 if __name__ == "__main__":

@@ -166,9 +166,9 @@ def brier(probabilities: Numbers, right: Any) -> float:
 
 
 def permute_labels(hits: Any, seed: int) -> Chance:
-    """Return the permute the labels of `hits` (n, n), which are True if answer i (row) hits label j (column). The
-    number of hits is that of one permutation; mean and standard deviation of the share are exact over all permutations
-    (Hoeffding, Ann. Math. Stat. 22, 1951).
+    """Permute the labels of `hits` (n, n), which are True if answer i (row) hits label j (column). The number of hits
+    is that of one permutation; mean and standard deviation of the share are exact over all permutations (Hoeffding,
+    Ann. Math. Stat. 22, 1951).
     """
     table = np.asarray(hits, bool)
     many = len(table)

@@ -78,7 +78,7 @@ class Processes(Executor):
         self._pools: list[Pool] = []
 
     def submit(self, job: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
-        """Return the submit a call to the next idle process."""
+        """Submit a call to the next idle process."""
         return self._threads.submit(self._call, partial(job, *args, **named))
 
     def _call(self, job: Callable[[], Any]) -> Any:
@@ -124,7 +124,7 @@ class Cluster:
             raise ImuArrayError(f"the scheduler has ended: {error}; run the same command again to continue") from None
 
     def submit(self, job: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Return the submit a call to the worker that the scheduler chooses."""
+        """Submit a call to the worker that the scheduler chooses."""
         future: Future[Any] = self._executor.submit(job, *args)
         return future
 

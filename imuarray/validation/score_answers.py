@@ -130,7 +130,7 @@ class Answer:
         return self.causes[0] if self.causes else None
 
     @property
-    def said(self) -> str:
+    def first_name(self) -> str:
         """The effect of the first cause, `NOTHING_NAMED` without causes, `NO_GAP` without a gap."""
         if not self.is_detected():
             return NO_GAP

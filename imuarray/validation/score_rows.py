@@ -433,10 +433,12 @@ def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
         name: sorted({effect for answer in own for work in answer.active for effect in work.resembles})
         for name, own in rows.items()
     }
-    said = {answer.said for answer in counted} - {NO_GAP, NOTHING_NAMED}
-    ordered = dict.fromkeys(effect for effects in names.values() for effect in effects if effect in said)
-    columns = (*ordered, *sorted(said - set(ordered)), NOTHING_NAMED, NO_GAP)
-    counts = tuple(tuple(sum(answer.said == column for answer in own) for column in columns) for own in rows.values())
+    first_names = {answer.first_name for answer in counted} - {NO_GAP, NOTHING_NAMED}
+    ordered = dict.fromkeys(effect for effects in names.values() for effect in effects if effect in first_names)
+    columns = (*ordered, *sorted(first_names - set(ordered)), NOTHING_NAMED, NO_GAP)
+    counts = tuple(
+        tuple(sum(answer.first_name == column for answer in own) for column in columns) for own in rows.values()
+    )
     right = tuple(tuple(_is_right_column(own, column) for column in columns) for own in rows.values())
     return Confusion(tuple(rows), columns, counts, right)
 
@@ -486,10 +488,10 @@ def _unknown_scores(
 
 
 def _control(singles: Sequence[Answer], seed: int) -> ScoreRow:
-    """Return the permute the labels of the cases: the number of right ones must not exceed chance."""
+    """Permute the labels of the cases: the share of right ones must not exceed chance."""
     labels = [frozenset(effect for work in answer.active for effect in work.resembles) for answer in singles]
     effects = {
-        label: np.array([answer.said in label and not _takes_out(answer) for answer in singles])
+        label: np.array([answer.first_name in label and not _takes_out(answer) for answer in singles])
         for label in set(labels)
     }
     hits = np.stack([effects[label] for label in labels], axis=1) if labels else np.zeros((0, 0), bool)

@@ -238,7 +238,7 @@ def test_the_command_prints_how_to_attach_and_serves() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([str(CONFIG)], "allowed is --usbip or --serial"),
+        ([str(CONFIG)], "give either --usbip or --serial"),
         ([str(CONFIG), "--usbip", "--query", "clock=virtual"], "clock=virtual; allowed is real"),
         ([str(CONFIG), "--usbip", "--query", "world=moon"], "allowed are still"),
         (["no/such.toml", "--usbip"], "no/such.toml"),
