@@ -95,6 +95,7 @@ class MonitorOptions:
     host: str = option(
         default="127.0.0.1",
         show_default=True,
+        metavar="ADDRESS",
         help="address to serve on; if other machines can reach it, the page requires the printed token",
     )
     result: Path | None = option(
