@@ -25,8 +25,8 @@ PAPERS_ARRAY = "martin2013"
 )
 @click.option(
     "--seconds",
-    default=1600.0,
-    show_default="1600s",
+    default="1600s",
+    show_default=True,
     type=Duration(minimum_s=300),
     metavar="30min",
     help="total duration of the recordings, in array time; at least 5min",

@@ -81,8 +81,8 @@ class MonitorOptions:
     every_s: float = option(
         "--every",
         type=Duration(minimum_s=0.2, maximum_s=3600),
-        default=1.0,
-        show_default="1s",
+        default="1s",
+        show_default=True,
         metavar="1s",
         help="time between updates, 0.2s to 1h; the logger writes once a second",
     )
