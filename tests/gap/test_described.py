@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imuarray.gap.findings.deviations import line_hz, lines_shown, shared_changes, unexplained_lines
-from imuarray.gap.inference.effects.noise import unaliased_hz
 from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.lines import unaliased_hz
 from imuarray.simulate.effects.noise import Tone
 from tests.gap.small_campaign import campaign_of, header, where
 

@@ -225,7 +225,9 @@ def test_changes_that_rows_do_not_resolve(tmp_path: Path, amplitude_g: float, qu
         for key, resolution in zip(found.keys, found.resolutions.tolist(), strict=True)
         if key.domain == "motion" and key.sensor == "Acc0"
     }
-    assert least["motion_delay"] == pytest.approx(1.5 * 0.02 if quantities else 1e-4)
+    assert least["motion_delay"] == pytest.approx(
+        0.03 if quantities else 0.003, rel=0.1
+    )  # windows; what the motion determines
     assert least["motion_gain"] == (0.25 if quantities else 0.0)
 
 

@@ -165,6 +165,18 @@ def test_a_strong_line_of_several_sensors_is_of_the_surroundings() -> None:
     assert vibrating(rate, "G1") == ()
 
 
+@pytest.mark.parametrize(("share", "hertz", "count"), [(0.11, 60.0, 1), (0.11, 57.0, 0), (0.25, 60.0, 0)])
+def test_a_faint_line_of_the_mains_is_picked_up(share: float, hertz: float, count: int) -> None:
+    """A ninth of the noise of one gyroscope, in rows of 100 Hz; no other frequency, and not a quarter of the noise."""
+    motion, noise_dps = Still(seconds=600), 0.05
+    tone = Tone((0.0, share * noise_dps, 0.0), hertz)
+    sources = simulated_sources(simulation(motion, {"G1": (tone,)}, seed=5))
+    campaign = Campaign((summarise_log("static", sources, phases_of(motion), reference_of(motion)),))
+    headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items() if name in ("G1", "G2")}
+    lines = [line for line in fit_ambient_lines(campaign, headers) if line.sensors == ("G1",)]
+    assert len(lines) == count
+
+
 @pytest.mark.parametrize(
     ("effect", "count"), [(CommonMode((1.0, 1.0, 1.0), 1.0), 0), (Tone((0.06, 0.06, 0.0), 0.3, phase_deg=30.0), 1)]
 )

@@ -82,6 +82,33 @@ def test_the_experiment_is_derived_from_the_phases(tmp_path: Path, phases: list[
     )
 
 
+def test_several_runs_in_a_log_are_no_turn_on_series(tmp_path: Path) -> None:
+    """A series has a file for each run. Runs of a motor have the same names, and are at rest only if an axis is up."""
+    phases = [phase(0, 3, "static", "+Z"), phase(3, 6, "run 1"), phase(6, 9, "run 2", "+Z")]
+    found = recorded(foreign_log(tmp_path / "log.h5", phases))
+    assert (found.kind, [item.name for item in found.phases]) == ("static", ["static", "run-2"])
+    assert found.notes[0].startswith("Phase 'run-1' is left out: the log has no track")
+
+
+@pytest.mark.parametrize(("louder", "names"), [((4.0, 4.0), ["static"]), ((4.0, 1.0), ["static", "phase 2"])])
+def test_a_rest_in_which_all_sensors_are_loud_is_left_out(
+    tmp_path: Path, louder: tuple[float, float], names: list[str]
+) -> None:
+    """A motor runs in the second phase; a single noisier sensor has an effect of its own."""
+    time = np.arange(600, dtype=np.int64) * SECOND // 50
+    rng = np.random.default_rng(0)
+    with LogWriter(tmp_path / "log.h5", FOREIGN[:2], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for sensor, factor in zip(FOREIGN[:2], louder, strict=True):
+            noise = rng.normal(0, 5, (600, 3)) * np.where(time < 6 * SECOND, 1.0, factor)[:, None]
+            level = [0, 0, 2048] if sensor.quantity == "specific_force" else [0, 0, 0]
+            counts = np.rint(noise + level).astype(np.int16)
+            warm = np.zeros(600, np.int16) if sensor.has_temperature else None
+            log.append(sensor.name, Block(time, counts, np.zeros(600, np.uint16), warm))
+        for item in (phase(0, 5, "static", "+Z"), phase(6, 11, "phase 2", "+Z")):
+            log.phase(item)
+    assert [item.name for item in recorded(tmp_path / "log.h5").phases] == names
+
+
 def test_a_motion_without_a_track_is_excluded(tmp_path: Path) -> None:
     phases = [phase(0, 4, "static", "+Z"), phase(4, 8, "motion")]
     found = recorded(foreign_log(tmp_path / "log.h5", phases))

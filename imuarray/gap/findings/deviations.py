@@ -15,11 +15,10 @@ from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Cause, Map, Size, Where
 from imuarray.gap.inference.assessment import MORE, Assessment, GroupResidual, group_residuals
 from imuarray.gap.inference.comparison import Comparison
-from imuarray.gap.inference.effects.noise import MAINS_HZ, unaliased_hz
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key, statistics
-from imuarray.gap.statistics.lines import highest_lines, pool_spectra
+from imuarray.gap.statistics.lines import MAINS_HZ, highest_lines, pool_spectra, unaliased_hz
 from imuarray.gap.statistics.margins import SensorConditions
 from imuarray.gap.statistics.pairs import Pairs, spread_of
 from imuarray.gap.statistics.probes import PROBES

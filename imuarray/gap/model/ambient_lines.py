@@ -5,8 +5,9 @@ same amplitude along the axes of the box. A faint line of an accelerometer is al
 sensor, or all others together, contradict it, which means that their noise and rate would show the line but do not. If
 the others would not show it, a line of some milli-g counts as faint: its origin cannot be determined. A line that
 others contradict, and a strong line that no other sensor confirms, is not modelled here; it can be explained by an
-effect. Neither is the broad maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a
-spectrum.
+effect. A faint line of any sensor at a frequency of the mains, or at its alias, is a nuisance quantity of this sensor
+alone, since wires pick it up; so is a faint line of a magnetometer, which measures every current nearby. The broad
+maximum of a wander that sensors share, as of a supply, at the lowest frequencies of a spectrum is no line.
 """
 
 from __future__ import annotations
@@ -21,7 +22,14 @@ import numpy as np
 from imuarray.arrays import Floats, Indices
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.statistics.campaign import Campaign
-from imuarray.gap.statistics.lines import HALF_WIDTH, Line, floor_of, highest_lines, pool_spectra
+from imuarray.gap.statistics.lines import (
+    HALF_WIDTH,
+    Line,
+    floor_of,
+    highest_lines,
+    multiples_of_mains,
+    pool_spectra,
+)
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.noise import Tone
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -38,6 +46,10 @@ single accelerometer does not tell them from an error of its own.
 
 MOST_FACTOR = 1.6
 """Largest ratio of the amplitude in a replicate to the measured one; the least is 0, since machines switch on and off.
+"""
+
+MOST_PICKED_UP = 0.12
+"""Largest usual amplitude of such a line, as a share of the standard deviation of its noise.
 """
 
 _LINES = 4
@@ -157,6 +169,10 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
             known += range(_LOWEST)
             continue
         known.append(line.bin)
+        hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
+        if (picked_up := _picked_up(member, line, hertz)) is not None:
+            yield picked_up
+            continue
         peak, others = _peak(member.spectrum, line), [other for other in group if other is not member]
         amplitude_box = _amplitude_box(member, peak)
         if any(_contradict(some, peak, amplitude_box) for some in (others, *([other] for other in others))):
@@ -167,8 +183,24 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
         is_faint = member.header.quantity == "specific_force" and amplitude_box.max() <= most_g * STANDARD_GRAVITY
         if is_confirmed or is_faint:
             x, y, z = amplitude_box.tolist()
-            hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
             yield AmbientLine(hertz, (x, y, z), tuple(item.header.name for item in group))
+
+
+def _picked_up(member: _Spectrum, line: Line, hertz: float) -> AmbientLine | None:
+    """Return a faint line that only one sensor measures, of the mains or of a current near a magnetometer; None if the
+    line is another one.
+    """
+    bin_hz = member.rows_per_s / member.spectrum.segment_rows
+    amplitude_box = _amplitude_box(member, _peak(member.spectrum, line))
+    own = np.abs(np.array(member.header.orientation)).T @ amplitude_box
+    noise = np.sqrt(member.spectrum.density[1:].mean(axis=0)) / member.counts_per_unit
+    is_magnetic = member.header.quantity == "magnetic_field"
+    if (own > MOST_PICKED_UP * noise).any():
+        return None
+    if not is_magnetic and not multiples_of_mains(hertz, bin_hz, member.rows_per_s):
+        return None
+    x, y, z = amplitude_box.tolist()
+    return AmbientLine(hertz, (x, y, z), (member.header.name,))
 
 
 def _is_wander(spectrum: Spectrum, line: Line) -> bool:

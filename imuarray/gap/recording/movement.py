@@ -61,6 +61,11 @@ rows do not resolve: third differences of a smooth turn by hand are below the no
 most the second value times the least noise.
 """
 
+_LOUDER = 3.0
+"""Ratio of the noise of every sensor in a rest to that in its quietest one above which a machine shakes the box: chips
+hardly change their noise, and not all of them at once.
+"""
+
 _TURN_STEP_NS = 50_000_000
 """Interval of a turn over which a gyroscope's rates are averaged, in ns; a fast turn covers 5 degrees in it."""
 
@@ -208,6 +213,25 @@ def _block_means(counts: Floats, rows: int) -> Floats:
 def _roughness(counts: Floats) -> Floats:
     """Return the third differences (3,) of counts (n, 3), rms."""
     return np.asarray(np.sqrt((np.diff(counts, n=3, axis=0) ** 2).mean(axis=0)))
+
+
+def loud_rests(triads: Sequence[SensorLog], rests: Sequence[Phase]) -> set[Phase]:
+    """Return the rests of a log in which all inertial sensors that were read, two or more, are much noisier than in
+    their quietest rest: a motor runs, which each of them may measure at frequencies of its own.
+    """
+    inertial = [sensor for sensor in triads if sensor.quantity in INERTIAL]
+    if len(inertial) < 2 or len(rests) < 2:
+        return set()
+    noise = np.full((len(inertial), len(rests), 3), np.nan)
+    for number, sensor in enumerate(inertial):
+        for place, rest in enumerate(rests):
+            if len(counts := _some_counts(sensor, rest)) > _FEWEST_WINDOWS:
+                noise[number, place] = np.maximum(_scatter(counts), _LEAST_NOISE)
+    with np.errstate(invalid="ignore"):
+        ratio = (noise / np.fmin.reduce(noise, axis=1)[:, None]).max(axis=2)
+    was_read = np.isfinite(ratio)
+    is_loud = (was_read.sum(axis=0) > 1) & ((ratio > _LOUDER) | ~was_read).all(axis=0)
+    return {rest for rest, loud in zip(rests, is_loud.tolist(), strict=True) if loud}
 
 
 def shaken_quantities(triads: Sequence[SensorLog], rest: Phase) -> list[str]:

@@ -15,6 +15,7 @@ from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
 from imuarray.gap.recording.movement import (
+    loud_rests,
     movements_of,
     noise_at_rest,
     shaken_quantities,
@@ -79,6 +80,7 @@ _VIBRATION = (
     "the box vibrates faster than the rows of its accelerometers show, so that sensors that are read at other moments "
     "differ"
 )
+_LOUD = "it is noted as at rest, but all of its sensors are much noisier than in another rest of the log"
 _SHAKEN = "it is noted as at rest, but its sensors feel the same motion, well beyond their noise"
 _SHARED_MOTION = (
     "There is no track of the box's motion: it is estimated from the array's own sensors, so that an error of all of "
@@ -94,11 +96,15 @@ _SAME_COSINE = np.cos(np.radians(10))
 """Cosine of the largest angle between the directions up of poses on one face."""
 
 
+_RUN = "run "
+"""Beginning of the names of the phases of a turn-on series."""
+
+
 def is_at_rest(phase: Phase) -> bool:
     """Return whether the box is at rest in a phase: an axis is noted as up, or the phase has the name of a rest."""
     name = phase.name
     is_named = name in STILL_NAMES or name in FACE_NAMES or name in OVEN_NAMES
-    return bool(phase.up) or is_named or name.startswith(("run ", "pose "))
+    return bool(phase.up) or is_named or name.startswith((_RUN, "pose "))
 
 
 class ComparablePhases(NamedTuple):
@@ -130,9 +136,10 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     Raises LogError if no phase can be compared.
     """
     is_tracked = motion.source != "phases"
+    named = _without_names_of_runs(log.phases)
     noted = [
-        _without_false_face(phase, motion) if is_tracked else _without_face_of_turntable(phase, log)
-        for phase in log.phases
+        _without_false_face(phase, motion) if is_tracked else _without_face_of_turntable(phase, log, named)
+        for phase in named
     ]
     triads = [log[name] for name in sensors if log[name].sensitivity]
     moving = [phase for phase in noted if not is_at_rest(phase)]
@@ -164,6 +171,9 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
         rough = sum(map(bool, unresolved.values()))
         notes += [_UNRESOLVED_CHANGES.format(count=rough, motions=len(moving))] if rough else []
         knocked = [span for phase in moving for span in knocks(triads, phase, all_rests)]
+    loud = loud_rests(triads, [rest.phase for rest in quiet])
+    notes += [f"Phase {rest.phase.name!r} is left out: {_LOUD}." for rest in quiet if rest.phase in loud]
+    quiet = [rest for rest in quiet if rest.phase not in loud]
     shaken = {rest: shaken_quantities(triads, rest.phase) for rest in quiet}
     rests = [rest for rest, quantities in shaken.items() if not quantities] or quiet
     notes += [f"Phase {rest.phase.name!r} is left out: {_SHAKEN}." for rest in quiet if rest not in rests]
@@ -181,6 +191,17 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     return ComparablePhases(phases, tuple(movements), notes, tuple(always), (*restless, *knocked), unresolved)
 
 
+def _without_names_of_runs(phases: Sequence[Phase]) -> list[Phase]:
+    """Return the phases with other names for runs if a log has several. A turn-on series has a file for each run; runs
+    of a motor or of a turntable have the same names, which then do not mean rest.
+    """
+    runs = [phase for phase in phases if phase.name.startswith(_RUN)]
+    several = len(runs) > 1
+    return [
+        phase._replace(name=phase.name.replace(" ", "-")) if several and phase in runs else phase for phase in phases
+    ]
+
+
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
     """Return the phase without its noted axis if the box turns in it according to the track: the note is then that of
     the first face only.
@@ -190,13 +211,14 @@ def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
     return phase._replace(up="") if phase.up and turns else phase
 
 
-def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
+def _without_face_of_turntable(phase: Phase, log: Log, phases: Sequence[Phase]) -> Phase:
     """Return the phase without its noted axis if the box turns in it about that axis on a turntable and its name does
-    not mean rest. A reference of the rate decides this, or else gyroscopes less their reading at rest.
+    not mean rest. A reference of the rate decides this, or else gyroscopes less their reading in the first rest among
+    the `phases` of the log.
     """
     if not phase.up or is_at_rest(phase._replace(up="")):
         return phase
-    rests = [rest for rest in log.phases if is_at_rest(rest._replace(up=""))][:1]
+    rests = [rest for rest in phases if is_at_rest(rest._replace(up=""))][:1]
     gyroscopes = [sensor for sensor in log.of("angular_rate") if sensor.sensitivity]
     parts_ns = np.linspace(phase.start_ns, phase.end_ns, _PARTS + 1).astype(np.int64)
     parts = [Phase(int(start_ns), int(end_ns), phase.name) for start_ns, end_ns in pairwise(parts_ns)]
@@ -359,7 +381,7 @@ def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heate
     names = [phase.name for phase in phases]
     if heated:
         return "heating"
-    if any(name.startswith("run ") for name in names):
+    if any(name.startswith(_RUN) for name in names):
         return "turn-on"
     if _count_attitudes(phases, attitudes) > 1:
         return "tumble"

@@ -25,6 +25,18 @@ _HIGH = 4.0
 which is nearly normal (Wilson and Hilferty, PNAS 17, 1931).
 """
 
+MAINS_HZ = (50.0, 60.0)
+"""Frequencies of the mains."""
+
+HARMONICS = 3
+"""Number of multiples of the mains' frequency that are searched: transformers and rectifiers make the second and third.
+"""
+
+BY_CHANCE = 0.05
+"""Largest share of arbitrary frequencies that lie within a bin of an alias of one of these multiples. It limits the
+multiples: the bins of short phases are wide, and those of long ones narrow.
+"""
+
 
 class Line(NamedTuple):
     """Line at `bin` of a spectrum: `power` (3,) in squared counts, `height` (3,) above the floor in standard
@@ -87,3 +99,26 @@ def pool_spectra(spectra: Sequence[Spectrum]) -> Spectrum | None:
         sum(spectrum.runs for spectrum in same_length),
     )
     return Spectrum(first.frequency_hz, density, freedom, *runs, sum(spectrum.rows for spectrum in same_length), 0)
+
+
+def shown_hz(hertz: float, rows_per_s: float) -> float:
+    """Return the frequency at which rows show a line, 0 to half their rate."""
+    return abs(hertz - rows_per_s * round(hertz / rows_per_s))
+
+
+def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
+    """Return the lowest multiple of the mains' frequency of which `seen_hz` is an alias, or else `seen_hz`."""
+    multiples_hz = multiples_of_mains(seen_hz, bin_hz, rows_per_s)
+    is_alias = multiples_hz and all(abs(hertz - seen_hz) >= bin_hz for hertz in multiples_hz)
+    return multiples_hz[0] if is_alias else seen_hz
+
+
+def multiples_of_mains(seen_hz: float, bin_hz: float, rows_per_s: float) -> list[float]:
+    """Return the multiples of the mains' frequency, in Hz, that rows show at `seen_hz`, within a bin.
+
+    Multiples are tried as long as an arbitrary frequency is rarely that near to one of them.
+    """
+    share = 2 * len(MAINS_HZ) * bin_hz / (rows_per_s / 2)  # share of all frequencies that is near one alias per line
+    most = min(HARMONICS, max(1, int(BY_CHANCE / share)))
+    multiples_hz = [number * hertz for number in range(1, most + 1) for hertz in MAINS_HZ]
+    return [hertz for hertz in multiples_hz if abs(shown_hz(hertz, rows_per_s) - seen_hz) < bin_hz]

@@ -33,7 +33,7 @@ from imuarray.gap.inference.evidence import (
 )
 from imuarray.gap.model.base_model import FittedParameters
 from imuarray.gap.model.populations import printed_noise
-from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pool_spectra
+from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pool_spectra, shown_hz, unaliased_hz
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, two_pole_cutoff_hz
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
@@ -335,16 +335,6 @@ _LINE_TRACES = (
     *("fast_own_axes", "fast_box_axes", "fast_between_axes", "fast_other_chips"),
 )
 _BETWEEN_AXES = "fast_between_axes"
-MAINS_HZ = (50.0, 60.0)
-HARMONICS = 3
-"""Number of multiples of the mains' frequency that are searched: transformers and rectifiers make the second and third.
-"""
-
-BY_CHANCE = 0.05
-"""Largest share of arbitrary frequencies that lie within a bin of an alias of one of these multiples. It limits the
-multiples: the bins of short phases are wide, and those of long ones narrow.
-"""
-
 _CLEAR_LINE = 2.0
 _LINES = 2
 
@@ -495,11 +485,6 @@ def assign_signs(amplitude: Triple, between_axes: Floats) -> Triple:
     return triple(signs[int(agreement.argmax())] * np.array(amplitude))
 
 
-def shown_hz(hertz: float, rows_per_s: float) -> float:
-    """Return the frequency at which rows show a line, 0 to half their rate."""
-    return abs(hertz - rows_per_s * round(hertz / rows_per_s))
-
-
 def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate]) -> Iterator[float]:
     """Yield the frequencies in Hz that a line at `seen_hz` may have: the alias that agrees best with the rows of other
     rates, if any; and the frequency at which the rows show it, or a mains' frequency that shows in the same bin.
@@ -517,17 +502,3 @@ def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate])
         if heights[best] > _SEEN and aliases[best] != seen_hz:
             yield aliases[best]
     yield unaliased_hz(seen_hz, bin_hz, rate.rows_per_s)
-
-
-def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
-    """Return the lowest multiple of the mains' frequency of which `seen_hz` is an alias within a bin; else `seen_hz`.
-
-    Multiples are tried as long as an arbitrary frequency is rarely that near to one of them.
-    """
-    share = 2 * len(MAINS_HZ) * bin_hz / (rows_per_s / 2)  # share of all frequencies that is near one alias per line
-    most = min(HARMONICS, max(1, int(BY_CHANCE / share)))
-    multiples = [number * hertz for number in range(1, most + 1) for hertz in MAINS_HZ]
-    if any(abs(hertz - seen_hz) < bin_hz for hertz in multiples):
-        return seen_hz
-    candidates_hz = [hertz for hertz in multiples if abs(shown_hz(hertz, rows_per_s) - seen_hz) < bin_hz]
-    return candidates_hz[0] if candidates_hz else seen_hz

@@ -53,7 +53,7 @@ def at_ends(summary: Summary) -> Floats:
 
 def pile(summary: Summary) -> Floats:
     """Return by how much the outermost code is more frequent than the next one inwards, in standard deviations, at the
-    end where this is larger.
+    end where this is larger; 0 if it is rarer at both ends.
 
     The root of a Poisson count has a standard deviation of 1/2 whatever its mean.
     """
@@ -89,7 +89,7 @@ def _pile(counts: np.ndarray) -> float:
     if len(counts) < 2:
         return math.nan
     first, inner, before_last, last = (math.sqrt(count + 3 / 8) for count in counts[[0, 1, -2, -1]].tolist())
-    return math.sqrt(2) * max(first - inner, last - before_last)
+    return math.sqrt(2) * max(first - inner, last - before_last, 0.0)
 
 
 def _one_code(summary: Summary) -> float:
