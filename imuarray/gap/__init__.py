@@ -52,9 +52,10 @@ the moments of its rows, and differences count only beyond wide margins.
 **Pooled scores** (`statistics.pooled`). The norm of the amounts by which the normal scores of a sensor exceed one
 standard deviation is formed for each log and for all logs, and compared with chance like a single score: an effect that
 changes tens of statistics a little is significant there before it is in a single one. The scores of a response to
-motion, which a delay or another position shifts alike on all axes, and those of slow changes are also summed over the
-axes of a sensor. Each domain of statistics has the same share of the level, and pools and sums a smaller one: the few
-statistics over temperature, in motion or of time are not masked by the thousands of the noise of phases.
+motion, which a delay or another position shifts alike on all axes, and those of slow changes, over temperature and of
+turn-on series are also summed over the axes of a sensor. Each domain of statistics has the same share of the level, and
+pools and sums a smaller one: the few statistics over temperature, in motion or of time are not masked by the thousands
+of the noise of phases.
 
 **Localisation** (`inference.assessment`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
 by the largest normal score among siblings, against the same maximum over the replicates (Westfall and Young 1993;

@@ -11,8 +11,8 @@ fit shifts many of them. Statistics are not independent, since they share the no
 therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
 
 The response to motion of a sensor that is late, or mounted at another place in the box, deviates in the same direction
-on all of its axes, and so does a slow change of a supply or of a reference. The scores of each statistic of a motion,
-and those of `SLOW` statistics, are therefore also summed over the axes.
+on all of its axes, and so do the readings of a die by its supply, temperature or power-on. The scores of each statistic
+of a motion, and those of `SHARED` statistics, are therefore also summed over the axes.
 
 Statistics of a domain with few of them, such as those over temperature, would be masked by the thousands that describe
 the noise of each phase. Each domain has the same share of the level (`equal_shares`), and pools and sums together have
@@ -53,8 +53,12 @@ _LEAST_STRETCH = 0.1
 """Least difference between the two quantiles that is assumed: a few pooled scores may be equal in all campaigns."""
 
 
-SLOW = frozenset({"mean_halves", "wander", "slow_between_axes"})
-"""Statistics of slow changes whose scores are summed over the axes of a sensor."""
+SHARED = frozenset(
+    {"mean_halves", "wander", "slow_between_axes", "thermal_slope", "thermal_square", "thermal_change", "run_rms"}
+)
+"""Statistics that the supply, the temperature or the power-on of a die changes on all of its axes. Their scores are
+summed over the axes of a sensor.
+"""
 
 _WEIGHT = 0.3
 """Share of the level of single scores that pools and sums have. With equal weights, effects that a single statistic
@@ -111,10 +115,12 @@ def equal_shares(normal: Floats, keys: Sequence[Key]) -> Floats:
 
 
 def _shared_axes(keys: Sequence[Key]) -> Iterator[Indices]:
-    """Yield, for each statistic of the response to a motion and each slow one, its places on all axes of a sensor."""
+    """Yield, for each statistic of the response to a motion and each shared one, its places on all axes of a
+    sensor.
+    """
     by_statistic: dict[tuple[int, str, int, str], list[int]] = {}
     for at, key in enumerate(keys):
-        if key.domain == "motion" or key.probe in SLOW:
+        if key.domain == "motion" or key.probe in SHARED:
             by_statistic.setdefault((key.log, key.sensor, key.phase_number, key.probe), []).append(at)
     yield from (np.array(places, np.intp) for places in by_statistic.values() if len(places) > 1)
 
