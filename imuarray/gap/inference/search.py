@@ -519,6 +519,17 @@ class _Guesses(NamedTuple):
     placebo: Hypothesis
 
 
+def _with_rarities(trials: Sequence[Hypothesis], of_both: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the trials from the training part with the rarities that both parts give the same effect at the same time,
+    if these agree: the more segments, the clearer is the distribution of their levels.
+    """
+    rarities: dict[tuple[object, ...], set[float]] = {}
+    for trial in of_both:
+        rarities.setdefault((trial.name, trial.when, trial.shared), set()).add(trial.rarity)
+    known = {key: min(values) for key, values in rarities.items() if len(values) == 1}
+    return [replace(trial, rarity=known.get((trial.name, trial.when, trial.shared), trial.rarity)) for trial in trials]
+
+
 def _guesses_of(
     comparison: Comparison, standings: Mapping[Unit, UnitState], candidates: Mapping[str, Candidate]
 ) -> dict[Unit, _Guesses]:
@@ -529,6 +540,7 @@ def _guesses_of(
         evidence = _evidence(comparison, train, standing, False)
         lasting = [trial for trial in guesses_of(evidence, candidates) if not trial.needs_both]
         everything = guesses_of(_evidence(comparison, both, standing, True), candidates)
+        lasting = _with_rarities(lasting, everything)
         of_both = _OF_EXTREMES
         if any(phase.kind == "heating" for phase in evidence.phases):
             of_both |= _THERMAL

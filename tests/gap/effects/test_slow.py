@@ -13,7 +13,17 @@ from scipy.integrate import quad
 
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.effects.wander import Allan, allan_of, gauss_markov, size_of, slower, wander_of, within
+from imuarray.gap.inference.effects.levels import Levels
+from imuarray.gap.inference.effects.wander import (
+    Allan,
+    allan_of,
+    gauss_markov,
+    size_of,
+    slower,
+    two_levels,
+    wander_of,
+    within,
+)
 from imuarray.gap.inference.evidence import Span, Spell, When
 from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
 from tests.gap.effects.evidence_of import evidence_of
@@ -241,3 +251,39 @@ def test_nothing_slow_is_suggested_for_white_noise() -> None:
         CANDIDATES["common_mode"],
     ):
         assert list(candidate.guesses(evidence)) == []
+
+
+def levels_of(mean: np.ndarray, error: float) -> Levels:
+    """Segments of one log along x; the other axes do not wander."""
+    count, axes = len(mean), np.zeros((len(mean), 3))
+    one, table = np.zeros(count, int), axes.copy()
+    table[:, 0] = mean
+    return Levels(one, one, np.arange(count) * 1.0, np.zeros(count), table, axes + error, axes, one * 1.0, one + 1.0)
+
+
+def test_the_log_ratio_of_two_levels() -> None:
+    """Eight values of -1 and eight of 1 with the error 0.1: each has the likelihood 1/2 in units of the density at its
+    mean, and exp(-1/2) / 10 by a normal distribution. One further parameter counts half a nat, and the correlation of
+    neighbours, 13/16, leaves 1 - (13/16)^2.
+    """
+    expected = (1 - (13 / 16) ** 2) * (16 * (math.log(10) + 0.5 - math.log(2)) - 0.5)
+    assert two_levels(levels_of(np.repeat([-1.0, 1.0], 8), 0.01)) == pytest.approx(expected, rel=1e-6)
+    assert two_levels(levels_of(np.repeat([-1.0, 1.0], 7), 0.01)) == 0.0  # too few
+    assert two_levels(levels_of(np.repeat([-0.05, 0.05], 8), 0.01)) == 0.0  # no wander
+
+
+def test_a_telegraph_has_two_levels_and_a_wander_has_not() -> None:
+    """64 segments with noise 1, on levels that are 3 apart and last 5 segments, and with a first-order process of the
+    same variance and correlation.
+    """
+    random = np.random.default_rng(2)
+    noise = random.standard_normal((2, 40, 64))
+    telegraph = 3.0 * (np.cumsum(random.random((40, 64)) < 0.2, axis=1) % 2)
+    steps = random.standard_normal((40, 64))
+    wander = np.zeros((40, 64))
+    for at in range(64):
+        wander[:, at] = 0.6 * wander[:, at - 1] + math.sqrt(1 - 0.36) * 1.5 * steps[:, at]
+    by_telegraph = [two_levels(levels_of(mean, 1.0)) for mean in telegraph + noise[0]]
+    by_wander = [two_levels(levels_of(mean, 1.0)) for mean in wander + noise[1]]
+    assert np.median(by_telegraph) > 1.0
+    assert np.median(by_wander) < 0.0

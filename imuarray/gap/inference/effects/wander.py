@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.effects.levels import change_between_logs, levels, log_levels
+from imuarray.gap.inference.effects.levels import Levels, change_between_logs, levels, log_levels
 from imuarray.gap.inference.effects.motion import takes_part
 from imuarray.gap.inference.evidence import NUMBERS, Evidence, PhaseEvidence, Spell
 from imuarray.gap.statistics.cross import Cross
@@ -310,7 +310,22 @@ _SELDOM = 0.05
 """Least share of time at the rarer level in a first guess."""
 
 _TELEGRAPH_RARITY = 2.0
-"""Nats by which popcorn noise is rarer than a drift, if two levels are not clear."""
+"""Nats by which popcorn noise is rarer than a drift, if the segments' levels do not tell them apart."""
+
+_MOST_NATS = 8.0
+"""Most nats that the distribution of the segments' levels counts for or against two levels: two levels may also drift.
+"""
+
+_PARAMETER = 0.5
+"""Nats that a further parameter of a distribution gains by chance, on average."""
+
+_WANDERS = 3.0
+"""Excess of the variance of the segments' levels over that of independent readings, in standard errors, from which on
+their distribution is examined.
+"""
+
+_FEWEST_LEVELS = 16
+"""Fewest segments whose distribution is examined."""
 
 _FEWEST_JUMPS = 3.0
 """Fewest jumps in the longest phase that distinguish popcorn noise from a slow drift."""
@@ -323,30 +338,64 @@ def guess_popcorn_noise(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest popcorn noise with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude / 2,
     the reciprocal of the time constant = twice the switches per second), and a slower one; the same with one level
     rarer than the other, if the distribution of the segments is asymmetric; and another by the jumps themselves, if
-    segments show them.
+    segments show them. It is the less rare, the better two levels fit the segments.
     """
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     score = evidence.score(*TRACES)
     wander = wander_of(evidence)
+    rarity = _TELEGRAPH_RARITY - min(max(two_levels(levels(evidence)), -_MOST_NATS), _MOST_NATS)
     fewest_per_s = _FEWEST_JUMPS / longest_s(evidence)
     limits = {"switches_per_s": (fewest_per_s, np.inf)}
     is_uneven = evidence.is_odd("wander_uneven", beyond=BEYOND)
     for process in (wander, slower(evidence, wander)) if wander is not None else ():
         for amplitude in sized(2 * process.rms, score):
             effect = PopcornNoise(amplitude, 0.5 / process.time_constant_s)
-            yield Hypothesis((effect,), _FREE_POPCORN, limits=limits, rarity=_TELEGRAPH_RARITY)
+            yield Hypothesis((effect,), _FREE_POPCORN, limits=limits, rarity=rarity)
         if is_uneven and process.rms.any():
-            yield from _one_sided(evidence, process, score, limits)
+            yield from _one_sided(evidence, process, score, limits, rarity)
     heights, switches_per_s = _jumps(evidence)
     for amplitude in sized(heights, score) if switches_per_s >= fewest_per_s else ():
-        yield Hypothesis(
-            (PopcornNoise(amplitude, switches_per_s),), _FREE_POPCORN, limits=limits, rarity=_TELEGRAPH_RARITY
-        )
+        yield Hypothesis((PopcornNoise(amplitude, switches_per_s),), _FREE_POPCORN, limits=limits, rarity=rarity)
+
+
+def two_levels(table: Levels) -> float:
+    """Return the nats by which two levels with the noise of independent readings fit the segments better than a normal
+    distribution of levels, over all groups and axes that wander. Successive segments with the correlation r count by
+    1 - r^2: a wander with this correlation changes by as much from one segment to the next.
+    """
+    nats = 0.0
+    for at in table.groups():
+        if len(at) < _FEWEST_LEVELS:
+            continue
+        for axis in range(3):
+            error = float(table.square_error[at, axis].mean())
+            apart = table.mean[at, axis] - table.mean[at, axis].mean()
+            variance = float(apart.var())
+            if not variance > error * (1 + _WANDERS * math.sqrt(2 / len(at))):
+                continue
+            correlation = float(apart[1:] @ apart[:-1]) / (len(at) * variance)
+            nats += (1 - correlation**2) * (_log_ratio_of_two_levels(apart, variance, error) - _PARAMETER)
+    return nats
+
+
+def _log_ratio_of_two_levels(apart: Floats, variance: float, error: float) -> float:
+    """Return the log of the ratio of the likelihood of values (n,) with the mean 0 and this `variance` under two levels
+    with normal noise of the variance `error` to that under a normal distribution. The levels are the means of the
+    values below and above the best limit.
+    """
+    ordered, count = np.sort(apart), len(apart)
+    lower = np.arange(2, count - 1)
+    sums = np.cumsum(ordered)[lower - 1]
+    log_share, log_other = np.log(lower / count), np.log(1 - lower / count)
+    below = log_share - (ordered[:, None] - sums / lower) ** 2 / (2 * error)
+    above = log_other - (ordered[:, None] + sums / (count - lower)) ** 2 / (2 * error)
+    by_two = float(np.logaddexp(below, above).sum(axis=0).max())
+    return by_two + count / 2 * (math.log(variance / error) + 1)
 
 
 def _one_sided(
-    evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
+    evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]], rarity: float
 ) -> Iterator[Hypothesis]:
     """Suggest the share p of time at the rarer level by the skewness of the segments' means, (1 - 2 p) / sqrt(p (1 -
     p)), on the axis that wanders most. The variance is amplitude^2 p (1 - p), and the reciprocal of the time constant
@@ -365,7 +414,7 @@ def _one_sided(
             2 * half**2 / wander.time_constant_s,
             share,
         )
-        yield Hypothesis((effect,), (*_FREE_POPCORN, "high_share"), limits=limits, rarity=_TELEGRAPH_RARITY)
+        yield Hypothesis((effect,), (*_FREE_POPCORN, "high_share"), limits=limits, rarity=rarity)
 
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:
