@@ -395,8 +395,8 @@ def _quietest(phases: Sequence[_Powers]) -> dict[str, _Power]:
         warnings.simplefilter("ignore", RuntimeWarning)  # parts without values
         height = np.nanmean(values, axis=1)
         chance = np.nanmean(known_deviations**2, axis=1) / np.isfinite(known_deviations).sum(axis=1)
-    is_quiet = height <= np.nanquantile(height, _QUIET)
-    scatter = float(np.nanstd(height))
+        is_quiet = height <= np.nanquantile(height, _QUIET)
+        scatter = float(np.nanstd(height))
     selected = _OF_QUIETEST * float(np.nanmean(chance)) / scatter if scatter > 0 else 0.0  # by chance, as a share
     quietest = {}
     for name, power in density.items():
