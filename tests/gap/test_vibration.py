@@ -201,3 +201,17 @@ def test_the_same_noise_at_a_lower_rate_of_rows_is_no_vibration() -> None:
         time = np.arange(0, 120e9, 1e9 / rate_hz).astype(np.int64)
         logs.append({"A": cast(Any, Rows(time, generator.normal(size=(len(time), 3)), UPRIGHT))})
     assert list(vibrations_of(logs, [[REST], [REST]], [{}, {}])) == [(), ()]
+
+
+def test_a_vibration_along_one_direction_is_correlated_between_its_axes() -> None:
+    """Along x and z by equal amounts, measured by the only quiet sensor or by three together."""
+    course = band(12_000, 10.0, 20.0, 1.0, np.random.default_rng(0))[:, :1]
+    shaking = course * [1.0, 0.0, 1.0]
+    ((together,),) = read(shaking, [UPRIGHT, OPPOSED, UPRIGHT], [0.0, 0.0, 0.0])
+    late = np.where(np.arange(12_000)[:, None] > 6000, 2 * shaking, 0.0)
+    noise = [np.random.default_rng(seed).normal(size=(12_000, 3)) * 30 for seed in (1, 2)]
+    (alone,) = read(late, [UPRIGHT, OPPOSED, UPRIGHT], [0.0, *noise])
+    for vibration in (together, alone[-1]):
+        at = int(np.argmax((vibration.common + vibration.private)[:, 0]))
+        assert vibration.coherence[at, 0, 2] > 0.8
+        assert abs(vibration.coherence[at, 0, 1]) < 0.3

@@ -457,31 +457,32 @@ def _vibrations(
 
 
 def _coherence(powers: _Powers, quietest: Mapping[str, _Power]) -> Floats:
-    """Return the correlations (b, 3, 3) of a vibration along the axes: those of the cross-spectra of sensors, or
-    without pairs those of the excess of their spectra. Correlations within chance are 0.
+    """Return the correlations (b, 3, 3) of a vibration along the axes: those of the cross-spectra of sensors where they
+    are significant, or else those of the excess of the spectra of the least noisy sensor. Correlations within chance
+    are 0.
     """
     pairs = powers.pairs.values()
+    coherence = np.tile(np.eye(3), (len(next(iter(powers.sensors.values())).density[0]), 1, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # bands without values
+        name = min(powers.sensors, key=lambda sensor: float(np.nanmean(quietest[sensor].density)))
+        least, quiet = powers.sensors[name], quietest[name]
+        scatters = [np.square(least.density * least.deviation[..., None])[None] / 2]
+        products = [np.nanmean(least.products - quiet.products, axis=0)]
+        densities = [np.nanmean(least.density - quiet.density, axis=0)]
         if pairs:
-            product = np.nanmean([pair.products for pair in pairs], axis=(0, 1))
-            power = np.nanmean([pair.density for pair in pairs], axis=(0, 1))
-            scatter = np.array([np.square(pair.deviation) for pair in pairs])
-        else:
-            known = powers.sensors.items()
-            product = np.nanmean([power.products - quietest[name].products for name, power in known], axis=(0, 1))
-            scatter = np.array([np.square(power.density * power.deviation[..., None]) / 2 for _, power in known])
-            power = np.nanmean([power.density - quietest[name].density for name, power in known], axis=(0, 1))
-    deviation = np.sqrt(np.nansum(scatter, axis=(0, 1))) / np.maximum(np.isfinite(scatter).sum(axis=(0, 1)), 1)
-    size = np.sqrt(np.maximum(power, 0.0))
-    coherence = np.tile(np.eye(3), (len(power), 1, 1))
-    for at, (first, second) in enumerate(((0, 1), (0, 2), (1, 2))):
-        chance = np.sqrt(deviation[:, first] * deviation[:, second])
-        is_real = np.abs(product[:, at]) > _SURE * chance
-        scale = size[:, first] * size[:, second]
-        value = np.where(is_real & (scale > 0), product[:, at] / np.where(scale > 0, scale, 1.0), 0.0)
-        limited = np.nan_to_num(value).clip(-_MOST_COHERENCE, _MOST_COHERENCE)
-        coherence[:, first, second] = coherence[:, second, first] = limited
+            scatters.append(np.array([np.square(pair.deviation) for pair in pairs]))
+            products.append(np.nanmean([pair.products for pair in pairs], axis=(0, 1)))
+            densities.append(np.nanmean([pair.density for pair in pairs], axis=(0, 1)))
+    for product, density, scatter in zip(products, densities, scatters, strict=True):
+        deviation = np.sqrt(np.nansum(scatter, axis=(0, 1))) / np.maximum(np.isfinite(scatter).sum(axis=(0, 1)), 1)
+        size = np.sqrt(np.maximum(np.nan_to_num(density), 0.0))
+        for at, (first, second) in enumerate(((0, 1), (0, 2), (1, 2))):
+            chance, scale = np.sqrt(deviation[:, first] * deviation[:, second]), size[:, first] * size[:, second]
+            is_real = (np.abs(product[:, at]) > _SURE * chance) & (scale > 0)
+            value = np.where(is_real, product[:, at], 0.0) / np.where(scale > 0, scale, 1.0)
+            value = np.where(is_real, value.clip(-_MOST_COHERENCE, _MOST_COHERENCE), coherence[:, first, second])
+            coherence[:, first, second] = coherence[:, second, first] = value
     levels, axes = np.linalg.eigh(coherence)
     positive = (axes * np.maximum(levels, 0.0)[:, None]) @ axes.swapaxes(1, 2)
     own = np.sqrt(np.diagonal(positive, axis1=1, axis2=2))
@@ -515,7 +516,8 @@ class _Estimates(NamedTuple):
 
 def _shared(powers: _Powers, usual: Floats) -> Floats:
     """Return the density (p, b, 3) that the sensors have in common in the parts of a phase, by their cross-spectra:
-    that of the phase where it is significant, the `usual` one (b, 3) of all phases where that is compatible with it.
+    that of the phase where it is significant, the `usual` one (b, 3) of all phases where that is compatible with it,
+    at most the power of the least noisy sensor.
     """
     if not powers.pairs:
         return np.zeros_like(next(iter(powers.sensors.values())).density)
@@ -525,7 +527,10 @@ def _shared(powers: _Powers, usual: Floats) -> Floats:
     is_real = _is_shared(powers, tuple(powers.pairs), phase)
     own = _over_time(pairs.mean(), mean, is_real, _relative(powers))
     is_usual = ~is_real & (np.abs(mean - usual) < _SURE * deviation)
-    return np.asarray(np.where(is_usual, usual, own))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # bands without values
+        most = np.nanmin([power.density for power in powers.sensors.values()], axis=0) * (1 + _SURE * _relative(powers))
+    return np.asarray(np.fmin(np.where(is_usual, usual, own), most))
 
 
 def _usual(phases: Sequence[_Powers]) -> Floats:
