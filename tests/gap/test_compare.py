@@ -375,5 +375,26 @@ rate_hz = 100
     slow, fast = (plan_of(parse_array(text), frame_rate_hz, 10.0) for frame_rate_hz in (250.0, 25.0))
     unknown = (replace(slow, config=""), replace(fast, config=""))
     for plan, queued in zip((slow, fast, *unknown), ({"Queue"}, {"Queue"}, set(), {"Queue"}), strict=True):
-        recording = SimpleNamespace(experiment=SimpleNamespace(plan=plan))
+        log = {name: Rows(10_000_000) for name in plan.sensors}
+        recording = SimpleNamespace(experiment=SimpleNamespace(plan=plan), log=log)
         assert _queued_in(cast(Any, [recording])) == queued
+
+
+class Rows:
+    """A sensor with rows at equal intervals."""
+
+    def __init__(self, interval_ns: int) -> None:
+        self.time = np.arange(1000, dtype=np.int64) * interval_ns
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@pytest.mark.parametrize(("intervals_ns", "count"), [((10_000_000, 10_200_000), 2), ((10_000_000, 10_001_000), 0)])
+def test_chips_that_are_read_at_rates_of_their_own_are_not_polled(intervals_ns: tuple[int, int], count: int) -> None:
+    """Both are configured to 100 Hz; an oscillator is off by 2 %. Polls by one host have the same interval."""
+    sensors = {f"A{number}": (SimpleNamespace(rate_hz=100.0), SimpleNamespace(rows_per_s=100.0)) for number in (1, 2)}
+    plan = SimpleNamespace(config="", sensors=sensors, frame_rate_hz=0.0)
+    log = dict(zip(sensors, map(Rows, intervals_ns), strict=True))
+    recording = SimpleNamespace(experiment=SimpleNamespace(plan=plan), log=log)
+    assert len(_queued_in(cast(Any, [recording]))) == count

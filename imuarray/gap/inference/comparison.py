@@ -45,7 +45,7 @@ from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recorder_gaps import QUEUED
+from imuarray.gap.recording.recorder_gaps import QUEUED, usual_interval_ns
 from imuarray.gap.recording.recordings import Recording, reference_of, sources_of
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
@@ -237,6 +237,12 @@ class Comparison:
         return np.array([replicate.values for replicate in self.replicates])
 
 
+_OWN_RATE, _APART = 0.15, 2e-3
+"""Largest relative difference of a chip's rate from the configured one, and least difference between the intervals of
+chips with the same configuration that are not polled by one clock.
+"""
+
+
 def prepare(
     recordings: Sequence[Recording], model: Model | None, seed: int, fitted_to: Sequence[Recording] = ()
 ) -> tuple[Bench, Campaign]:
@@ -269,8 +275,8 @@ def prepare(
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
-    """Return the sensors whose rows come from a queue in the chip: the configuration contains it, or they have more
-    rows than frames.
+    """Return the sensors whose rows are the chip's own readings, from a queue or at its data-ready signal: the
+    configuration contains a queue, they have more rows than frames, or each of several chips has a rate of its own.
     """
     plans = [recording.experiment.plan for recording in recordings]
     configured = {
@@ -279,12 +285,26 @@ def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
         for name, sensor in recorded_sensors(text).items()
         if sensor.fifo
     }
-    return frozenset(
+    many = {
         name
         for plan in plans
         for name, (_, line) in plan.sensors.items()
         if name in configured or 0 < QUEUED * plan.frame_rate_hz < line.rows_per_s
-    )
+    }
+    return frozenset(many.union(*map(_at_own_rates, recordings)))
+
+
+def _at_own_rates(recording: Recording) -> set[str]:
+    """Return the sensors that are configured to one rate and have rows at slightly different rates. Polls of one host
+    would have the same intervals for all of them.
+    """
+    periods: dict[float, dict[str, float]] = {}
+    for name, (header, _) in recording.experiment.plan.sensors.items():
+        of_nominal = usual_interval_ns(recording.log[name]) * 1e-9 * header.rate_hz
+        if abs(of_nominal - 1) < _OWN_RATE:
+            periods.setdefault(header.rate_hz, {})[name] = of_nominal
+    differ = [group for group in periods.values() if max(group.values()) - min(group.values()) > _APART]
+    return {name for group in differ for name in group}
 
 
 def _summarise(recordings: Sequence[Recording], split: Split) -> Campaign:

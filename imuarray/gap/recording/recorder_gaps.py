@@ -7,7 +7,7 @@ logger reports missed frames. In a log with a single sensor it is the recorder's
 loss.
 
 Now and then every bus fails: a few readings in ten thousand that the logger itself reports as lost are the recorder's
-too.
+too, and so is one in ten thousand that is missing without a report.
 
 Two other kinds of gap contain no lost row. One is a gap within the period of a slow chip that is polled more often than
 it measures. The other is a gap of a queue that reports no overflow: the recorder computes its times from those of the
@@ -59,6 +59,9 @@ attributed to the recorder.
 
 USUAL_LOSSES = 5e-4
 """Largest share of a sensor's readings that a bus usually loses. A single reading is never more than usual."""
+
+USUAL_UNREPORTED = 1e-4
+"""Largest share of readings that are usually missing without a report: a host is interrupted for a moment."""
 
 _DELAYED = re.compile(r"\b(late|miss(ed|ing)|stall(ed|s)?|delay(ed|s)?|busy)\b", re.IGNORECASE)
 """Pattern for a delay of the recorder in the kind or message of an event."""
@@ -137,6 +140,8 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
         if 0 < few <= max(USUAL_LOSSES * line.rows, 1):
             is_own &= ~is_reported
             losses_of.append(f"{name} ({few})")
+        if 0 < line.missing[is_own].sum() <= USUAL_UNREPORTED * line.rows:
+            is_own[:] = False
         if is_own.all():
             continue
         of_recorder = [gap for gap, is_other in zip(gaps, (is_own | is_idle).tolist(), strict=True) if not is_other]

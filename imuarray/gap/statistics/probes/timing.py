@@ -160,9 +160,15 @@ _DROPPED = ("dropped_samples",)
 
 _probe = partial(PhaseProbe, "timing", in_motion=True, resolution=one_row, by_column=False)
 
+
+def _one_interval(summary: Summary) -> float:
+    """Return the change of the log of the mean interval by one row: a single reading is lost on any bus."""
+    return 1 / max(summary.rows, 1)
+
+
 PROBES: Probes = {
     "interval": replace(
-        _probe("log of the mean interval between rows", (), VARIANCE, interval, resolution=lambda _: 1e-6), unit="log s"
+        _probe("log of the mean interval between rows", (), VARIANCE, interval, resolution=_one_interval), unit="log s"
     ),
     "irregularity": _probe(
         "log of the scatter of intervals over their mean", _DROPPED, GENEROUS, irregularity, resolution=_hundredth
