@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.evidence import ALWAYS, NUMBERS, Span, When, in_logs, join_spans, since
+from imuarray.gap.inference.evidence import ALWAYS, NATS_PER_NUMBER, Span, When, in_logs, join_spans, since
 from imuarray.gap.recording.course import stretches_of
 from imuarray.gap.recording.recordings import sources_of
 from imuarray.gap.statistics.split import split_of
@@ -42,9 +42,9 @@ def test_effects_of_a_timed_hypothesis_act_at_that_time() -> None:
     trial = LINE.at(when)
     assert trial.when == when
     assert trial.effects[0].spans == (0.0, 4.0, 7.0, 2.0, 0.0, 1e9)
-    assert trial.rarity == NUMBERS * 4
+    assert trial.rarity == NATS_PER_NUMBER * 4
     assert trial.form == LINE.form
-    assert trial.at(in_logs([1])).rarity == NUMBERS
+    assert trial.at(in_logs([1])).rarity == NATS_PER_NUMBER
     assert LINE.at(ALWAYS) is LINE
 
 

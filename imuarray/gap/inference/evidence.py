@@ -87,7 +87,7 @@ ALWAYS = When()
 SINGLE = 64
 """Largest number of events that are listed one by one."""
 
-NUMBERS = 1.0
+NATS_PER_NUMBER = 1.0
 """Cost in nats of each number that was chosen for a time: the moment of an event, or its length. A hypothesis that
 needs both parts gains the mean of their gains, and an event lies in one part.
 """
@@ -105,7 +105,7 @@ def rarity_of_events(count: int) -> float:
     """Return the nats by which an effect at this many known moments is rarer than one without moments. From a few
     events on, the moments do not matter: others of the same frequency explain the statistics as well.
     """
-    return NUMBERS * min(count, _CHOSEN_EVENTS)
+    return NATS_PER_NUMBER * min(count, _CHOSEN_EVENTS)
 
 
 def in_logs(logs: Collection[int]) -> When:

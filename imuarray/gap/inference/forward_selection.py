@@ -19,8 +19,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects import Candidate, Hypothesis
-from imuarray.gap.inference.evidence import NUMBERS as EACH_NUMBER
-from imuarray.gap.inference.evidence import Evidence, When, in_logs, join_spans, since, views
+from imuarray.gap.inference.evidence import NATS_PER_NUMBER, Evidence, When, in_logs, join_spans, since, views
 from imuarray.gap.inference.refinement import (
     WORTH,
     FittedHypothesis,
@@ -399,7 +398,9 @@ def _gains(look: FittedHypothesis, logs: Collection[int]) -> bool:
     """
     by_log = look.by_log if look.trial.shared and _is_divisible(look.trial) else {}
     shown = [by_log[log] for log in logs if by_log.get(log)]
-    return max(shown) > EACH_NUMBER if shown else look.gain > 0 or max(by_log.values(), default=0.0) > EACH_NUMBER
+    return (
+        max(shown) > NATS_PER_NUMBER if shown else look.gain > 0 or max(by_log.values(), default=0.0) > NATS_PER_NUMBER
+    )
 
 
 def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
@@ -523,11 +524,11 @@ def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHy
     for look in looks:
         if look.trial.name == Bias.name and _returns(look.by_log):
             continue
-        best = {log: (gain, in_logs([log])) for log, gain in look.by_log.items() if gain > EACH_NUMBER}
+        best = {log: (gain, in_logs([log])) for log, gain in look.by_log.items() if gain > NATS_PER_NUMBER}
         for spell in spells:
             log = spell.trial.when.spans[0].log
             gain = spell.by_log.get(log, 0.0)
-            if spell.trial.form == look.trial.form and gain > best.get(log, (EACH_NUMBER, None))[0]:
+            if spell.trial.form == look.trial.form and gain > best.get(log, (NATS_PER_NUMBER, None))[0]:
                 best[log] = (gain, spell.trial.when)
         when = join_spans(part for _, part in best.values())
         if when.spans and {span.log for span in when.spans if span.is_whole} != set(look.by_log):
@@ -536,8 +537,8 @@ def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHy
 
 def _returns(gain_of_log: Mapping[int, float]) -> bool:
     """Return whether a log after one that gains loses by the same change."""
-    gaining = [log for log, gain in gain_of_log.items() if gain > EACH_NUMBER]
-    return bool(gaining) and any(gain < -EACH_NUMBER for log, gain in gain_of_log.items() if log > min(gaining))
+    gaining = [log for log, gain in gain_of_log.items() if gain > NATS_PER_NUMBER]
+    return bool(gaining) and any(gain < -NATS_PER_NUMBER for log, gain in gain_of_log.items() if log > min(gaining))
 
 
 def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:

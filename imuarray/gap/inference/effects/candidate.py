@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from typing import Literal
 
-from imuarray.gap.inference.evidence import ALWAYS, NUMBERS, Evidence, When
+from imuarray.gap.inference.evidence import ALWAYS, NATS_PER_NUMBER, Evidence, When
 from imuarray.gap.model.populations import PRINTED, is_near_noted_position, is_usual
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader
@@ -79,7 +79,7 @@ class Hypothesis:
         effects, opposite = (
             tuple(replace(effect, spans=spans) for effect in side) for side in (self.effects, self.opposite)
         )
-        rarity = self.rarity + NUMBERS * (when.numbers - self.when.numbers)
+        rarity = self.rarity + NATS_PER_NUMBER * (when.numbers - self.when.numbers)
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     def narrowed(self, moments_s: Sequence[float], at: int) -> Hypothesis:

@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.bias import RUN_TO_RUN, rarer
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import Onset, States, levels, log_levels, onsets, states_of_logs
 from imuarray.gap.inference.effects.noise import with_noise
-from imuarray.gap.inference.evidence import NUMBERS, Evidence, Span, stretches
+from imuarray.gap.inference.evidence import NATS_PER_NUMBER, Evidence, Span, stretches
 from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.timing import DroppedSamples
 
@@ -124,7 +124,7 @@ def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterato
         changed = np.log(states.noise_after / states.noise_before) / np.log(ratio)
         if changed.min() > _NOISE_TOO:
             effect = replace(guess.effect, runs=tuple(map(float, logs)))
-            rarity = NUMBERS * len(logs) + _unlike(evidence, guess.size)
+            rarity = NATS_PER_NUMBER * len(logs) + _unlike(evidence, guess.size)
             yield Hypothesis((effect,), whole=True, rarity=rarity, fitted=replace(usual, offset=(x, y, z)))
 
 
@@ -188,7 +188,7 @@ def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
     known = stretches([Span(log, reset.moment_s, reset.end_s - reset.moment_s) for log, reset in evidence.resets])
     doubts_s = tuple(reset.moment_s - reset.doubt_s for reset in resets)
     missing = DroppedSamples(**stretches(lost))
-    numbers = NUMBERS * (len(resets) + len(lost))
+    numbers = NATS_PER_NUMBER * (len(resets) + len(lost))
     ratios = {evidence.header.range: 1.0, **_ratios(evidence)}
     candidates = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides, ratios)]
     for rarity, effect in sorted(candidates, key=lambda candidate: candidate[0])[

@@ -12,7 +12,7 @@ from imuarray.arrays import Integers
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.timing import mean_of, odd_lags, repeated_rows
 from imuarray.gap.inference.evidence import (
-    NUMBERS,
+    NATS_PER_NUMBER,
     SINGLE,
     Evidence,
     PhaseEvidence,
@@ -300,7 +300,7 @@ def _single_axes(evidence: Evidence) -> Iterator[Hypothesis]:
                 readings=tuple(reading.tolist()),
                 stuck_axes=(float(axis),),
             )
-            yield Hypothesis((stuck,), whole=True, rarity=NUMBERS)
+            yield Hypothesis((stuck,), whole=True, rarity=NATS_PER_NUMBER)
 
 
 def _stuck_again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:

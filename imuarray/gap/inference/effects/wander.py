@@ -16,7 +16,7 @@ from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, change_between_logs, levels, log_levels
 from imuarray.gap.inference.effects.motion import takes_part
-from imuarray.gap.inference.evidence import NUMBERS, Evidence, PhaseEvidence, Spell
+from imuarray.gap.inference.evidence import NATS_PER_NUMBER, Evidence, PhaseEvidence, Spell
 from imuarray.gap.statistics.cross import Cross
 from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
 from imuarray.simulate.signal import Triple
@@ -608,7 +608,7 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
                     sensor=evidence.header.name,
                     others=(partner,),
                     opposite=(CommonMode(other, time_s, shared, group),),
-                    rarity=NUMBERS,
+                    rarity=NATS_PER_NUMBER,
                 )
 
 
