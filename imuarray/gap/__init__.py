@@ -13,15 +13,16 @@ and temperatures if the logs contain them. A **simulator** makes recordings of t
   and tilt of the box; the lag of an element behind the temperature of the box, up to the lag of the dies by their own
   thermometers if that is longer than usual (`model.element_temperature`); the delay of a signal in a chip's filter and
   in its decimation, and the offset of the times of rows due to a queue, or between the clocks of the sensors and of a
-  track (`model.signal_delay`); lines of the surroundings, which several sensors of a quantity measure alike, or which
-  are faint lines of accelerometers that the others together would not show (`model.ambient_lines`); and broad
-  vibrations of the surroundings at rest, by cross-spectra of the sensors and by the excess of their spectra over those
-  in the quietest parts (`recording.vibration`). The following are drawn anew for every replicate: the course of a
-  vibration, the phase and rate of the data clock (`model.data_clock`), the scatter of biases from one power-on to the
-  next, the position of an accelerometer, nonlinearity, the slope of the scale over temperature, the curvature of a bias
-  over temperature, slopes that the temperatures of the recording do not determine, usual flicker in long phases, a bias
-  that all accelerometers have in common, and the course of an unrecorded room temperature (`model.room_temperature`).
-  Their estimates are reported as **pulls**, value over tolerance (`model.nuisance`), and are not causes;
+  track (`model.signal_delay`); lines of the surroundings, which several sensors of a quantity measure alike, faint
+  lines of accelerometers that the others together would not show, and the mains that the wires of a single sensor pick
+  up (`model.ambient_lines`); and broad vibrations of the surroundings at rest, by cross-spectra of the sensors and by
+  the excess of their spectra over those in the quietest parts (`recording.vibration`). The following are drawn anew for
+  every replicate: the course of a vibration, the phase and rate of the data clock (`model.data_clock`), the scatter of
+  biases from one power-on to the next, the position of an accelerometer, nonlinearity, the slope of the scale over
+  temperature, the curvature of a bias over temperature, slopes that the temperatures of the recording do not determine,
+  usual flicker in long phases, a bias that all accelerometers have in common, and the course of an unrecorded room
+  temperature (`model.room_temperature`). Their estimates are reported as **pulls**, value over tolerance
+  (`model.nuisance`), and are not causes;
 * **effects** e with parameters eta, a place (sensor, axes, family or all) and a time (always, from a moment on, in
   some logs, in stretches): the simulator may lack an effect that the sensors have, or have one that they lack
   (`inference.effects`).
@@ -33,10 +34,11 @@ track at rest (`simulate.motion.track_noise`). A drift of the sensors' common cl
 delay of one sensor. The following are left out: rows in which a filter settles after power-on, the ends of a rest in
 which the box still moves, and moments at which several sensors are restless or measure a knock (`recording.quiet`), as
 with a hand, keystrokes, motors that start, or a box that is set down. A few readings that the logger reports as lost
-are the recorder's (`recording.recorder_gaps`). Without a track the motion is estimated from the sensors together
-(`recording.movement`), unless the box vibrates faster than the rows show. Turns between noted rests are motions too,
-with the attitudes at their beginning and end from gravity (`recording.turns`), and so are long stretches between
-detected rests. A statistic that one side lacks is missing: it has no score.
+are the recorder's, as is one in ten thousand that is missing without a report (`recording.recorder_gaps`). Rests in
+which all sensors are much noisier than in another one are left out too. Without a track the motion is estimated from
+the sensors together (`recording.movement`), unless the box vibrates faster than the rows show. Turns between noted
+rests are motions too, with the attitudes at their beginning and end from gravity (`recording.turns`), and so are long
+stretches between detected rests. A statistic that one side lacks is missing: it has no score.
 
 **Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), with nu* drawn
 from its population and theta fitted again to each. It thus includes the uncertainty of the fit and of the unit.

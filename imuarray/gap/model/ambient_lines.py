@@ -97,7 +97,7 @@ class AmbientLine:
 
 def fit_ambient_lines(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> tuple[AmbientLine, ...]:
     """Return the lines at rest that several sensors of a quantity have in common, and the faint lines of accelerometers
-    that no other sensor contradicts.
+    that no other sensor contradicts, and the mains that one sensor picks up.
     """
     return tuple(line for group in _groups(campaign, headers) for line in _ambient_lines(group))
 
