@@ -48,7 +48,7 @@ MOST_FACTOR = 1.6
 """Largest ratio of the amplitude in a replicate to the measured one; the least is 0, since machines switch on and off.
 """
 
-MOST_PICKED_UP = 0.12
+MOST_PICKED_UP = 0.15
 """Largest usual amplitude of such a line, as a share of the standard deviation of its noise.
 """
 
@@ -168,11 +168,11 @@ def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
         if _is_wander(member.spectrum, line):
             known += range(_LOWEST)
             continue
-        known.append(line.bin)
         hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
-        if (picked_up := _picked_up(member, line, hertz)) is not None:
+        if (picked_up := _picked_up(member, line, hertz)) is not None:  # other sensors have lines of their own there
             yield picked_up
             continue
+        known.append(line.bin)
         peak, others = _peak(member.spectrum, line), [other for other in group if other is not member]
         amplitude_box = _amplitude_box(member, peak)
         if any(_contradict(some, peak, amplitude_box) for some in (others, *([other] for other in others))):
