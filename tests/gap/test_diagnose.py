@@ -252,8 +252,9 @@ def test_a_sensor_with_the_data_of_another_is_named(swapped: Diagnosis) -> None:
     """Each may have the data of the other; both readings are the same. The line of one of them seems to be of the
     surroundings, since both have it.
     """
-    (cause,) = swapped.causes
+    cause, *others = swapped.causes
     assert cause.effect == "channel_swap"
+    assert all(other.probability < 0.5 for other in others)
     assert cause.origin == "metadata"
     assert (cause.sensors, cause.parameters["sensor"]) in ((("A1",), "A2"), (("A2",), "A1"))
     assert swapped.verdict == "explained"

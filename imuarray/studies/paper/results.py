@@ -17,7 +17,6 @@ from typing import Any
 
 from imuarray.atomic import write_text
 from imuarray.errors import ImuArrayError, OutputExistsError
-from imuarray.figures import can_draw
 from imuarray.studies.paper import systematic, variation
 from imuarray.studies.paper.conclusions import conclusions, slips, stated
 from imuarray.studies.paper.tables import RecomputedRow, tally
@@ -236,6 +235,8 @@ def write(result: Mapping[str, Any], directory: Path, *, force: bool) -> tuple[P
     The directory is created if it is missing. OutputExistsError if a file exists and `force` is false, before anything
     is written; ImuArrayError, which names the place, if a file cannot be written.
     """
+    from imuarray.figures import can_draw  # imports NumPy, which recomputing does not need
+
     texts = {"paper.json": as_json(result)} | {f"{name}.csv": as_csv(result[name]) for name in (*TABLES, "pairs")}
     drawings: Mapping[str, Any] = {}
     if can_draw():
