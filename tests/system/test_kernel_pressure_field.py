@@ -96,7 +96,7 @@ section end
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_kernel_reads_the_barometers_and_magnetometers(
     guest: Callable[[str, Iterable[str], float], str], tmp_path: Path
 ) -> None:

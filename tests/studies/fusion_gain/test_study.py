@@ -108,5 +108,5 @@ def test_the_command_refuses_unknown_experiments(capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_results_do_not_depend_on_workers() -> None:
     with processes(2) as executor:
-        apart = study(("static", "motion"), 1, seconds=12.0, executor=executor)
-    assert apart.as_json() == study(("static", "motion"), 1, seconds=12.0).as_json()
+        apart = study(("static", "motion"), 1, seconds=4.0, executor=executor)
+    assert apart.as_json() == study(("static", "motion"), 1, seconds=4.0).as_json()
