@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from imuarray.arrays import Integers
-from imuarray.gap.model.ambient_lines import MOST_G, fit_ambient_lines
+from imuarray.characterise.spectrum import Welch
+from imuarray.gap.model.ambient_lines import MOST_G, _picked_up, _Spectrum, fit_ambient_lines
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_DIE_LAG_S, LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
@@ -22,7 +23,8 @@ from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
 from imuarray.gap.recording.recordings import CHIP_LEAD_S, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
-from imuarray.log.format import Phase
+from imuarray.gap.statistics.lines import highest_lines
+from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.bias import CommonMode
@@ -178,6 +180,30 @@ def test_a_faint_line_of_the_mains_is_picked_up(share: float, hertz: float, coun
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items() if name in ("G1", "G2")}
     lines = fit_ambient_lines(campaign, headers)
     assert [name for line in lines for name in line.sensors] == ["G1", "G2"][:count]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "share", "is_picked_up"),
+    [
+        ("magnetic_field", "gauss", 0.1, True),
+        ("magnetic_field", "gauss", 0.3, False),
+        ("angular_rate", "dps", 0.1, False),
+    ],
+)
+def test_a_magnetometer_measures_currents_of_any_frequency(
+    quantity: str, unit: str, share: float, *, is_picked_up: bool
+) -> None:
+    """A line at 17 Hz in 200,000 rows at 80 Hz, with an amplitude that is a `share` of the noise."""
+    header = SensorHeader("S", "unheard_of", quantity, unit, 8.0, 1000.0)
+    counts = np.random.default_rng(2).normal(0, 5, (200_000, 3))
+    counts[:, 1] += share * 5 * np.sin(2 * np.pi * 17 * np.arange(200_000) / 80)
+    welch = Welch(80.0, 1024, 3)
+    welch.update(counts)
+    member = _Spectrum(header, welch.result(), 80.0)
+    (line,) = highest_lines(member.spectrum, 1)
+    hertz = line.bin * 80.0 / 1024
+    assert hertz == pytest.approx(17.0, abs=0.05)
+    assert (_picked_up(member, line, hertz) is not None) == is_picked_up
 
 
 @pytest.mark.parametrize(

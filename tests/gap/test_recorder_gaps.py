@@ -35,19 +35,20 @@ def logged(
     flag: int = LOST_BEFORE,
     kind: str = "late",
     reported: str = "",
+    rows: int = ROWS,
 ) -> Recording:
-    """At rest for 20 s; each sensor lacks the rows `lost`; the logger reports `message` on the sensor
-    `reported` ("": that it was late). If it `is_delayed`
-    within a frame, the row after the lost rows is 1 ms before the next row, which has the flag instead.
+    """At rest for as long as the `rows` take; each sensor lacks the rows `lost`; the logger reports `message` on the
+    sensor `reported` ("": that it was late). If it `is_delayed` within a frame, the row after the lost rows is 1 ms
+    before the next row, which has the flag instead.
     """
     rng = np.random.default_rng(1)
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z", frame_rate_hz=frame_rate_hz) as log:
         for number, sensor in enumerate(sensors):
             level = (0, 0, 2048) if number == 0 else (0, 0, 0)
-            time = np.arange(ROWS, dtype=np.int64) * SECOND // RATE_HZ + number * 300_000
-            counts = np.rint(rng.normal(level, 5, (ROWS, 3))).astype(np.int16)
-            status = np.zeros(ROWS, np.uint16)
-            held = np.ones(ROWS, bool)
+            time = np.arange(rows, dtype=np.int64) * SECOND // RATE_HZ + number * 300_000
+            counts = np.rint(rng.normal(level, 5, (rows, 3))).astype(np.int16)
+            status = np.zeros(rows, np.uint16)
+            held = np.ones(rows, bool)
             if sensor.name in lost:
                 held[lost[sensor.name]] = False
                 stop = lost[sensor.name].stop
@@ -55,7 +56,7 @@ def logged(
                 if is_delayed:
                     time[stop] = time[stop + 1] - 1_000_000
             log.append(sensor.name, Block(time[held], counts[held], status[held]))
-        log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
+        log.phase(Phase(0, rows * SECOND // RATE_HZ - 1, "static", "+Z"))
         if message:
             log.event(Event(round(late_s * SECOND), reported, kind, message))
     return recording_of(open_log(path))
@@ -78,6 +79,14 @@ def test_rows_that_one_sensor_lacks_are_counted_as_lost(tmp_path: Path, rows: sl
     recording = logged(tmp_path / "log.h5", {"Acc": rows})
     assert due(recording) == {"Acc": ROWS, "Gyro": ROWS}
     assert not any("recorder" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(("lost", "counted"), [(1, 0), (2, 2)])
+def test_one_unreported_row_in_ten_thousand_is_the_hosts(tmp_path: Path, lost: int, counted: int) -> None:
+    """Of 12,000 rows, in which one is the largest usual number."""
+    rows = 12_000
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 300 + lost)}, flag=0, rows=rows)
+    assert due(recording) == {"Acc": rows - lost + counted, "Gyro": rows}
 
 
 @pytest.mark.parametrize(("chip_hz", "lost"), some([(25.0, 0), (40.0, 1), (50.0, 1), (0.0, 1)], 1))

@@ -18,6 +18,7 @@ from imuarray.gap.inference.effects import CANDIDATES, Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, Span, since
 from imuarray.gap.inference.forward_selection import (
     Round,
+    _shown_by_each_part,
     gaining_of,
     look_at,
     look_in_turns,
@@ -283,3 +284,10 @@ def test_temporary_effects_are_evaluated_if_one_of_their_logs_gains(
     state = cast(UnitState, SimpleNamespace())
     look_in_turns(run, {("G1",): state}, {("G1",): [COMMON_FOR_A_WHILE, COMMON]})
     assert seen == ([COMMON, COMMON_FOR_A_WHILE] if is_seen else [COMMON])
+
+
+def test_events_that_recur_in_both_parts_do_not_need_both() -> None:
+    """The choice of their moments costs 4 nats in the mean of both parts, and twice that in their sum."""
+    recurring = _shown_by_each_part(Hypothesis((), whole=True, rarity=1.0))
+    assert (recurring.needs_both, recurring.rarity) == (False, 9.0)
+    assert _shown_by_each_part(Hypothesis((), rarity=1.0)) == Hypothesis((), rarity=1.0)
