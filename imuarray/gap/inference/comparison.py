@@ -285,13 +285,13 @@ def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
         for name, sensor in recorded_sensors(text).items()
         if sensor.fifo
     }
-    many = {
+    queued = {
         name
         for plan in plans
         for name, (_, line) in plan.sensors.items()
         if name in configured or 0 < QUEUED * plan.frame_rate_hz < line.rows_per_s
     }
-    return frozenset(many.union(*map(_at_own_rates, recordings)))
+    return frozenset(queued.union(*map(_at_own_rates, recordings)))
 
 
 def _at_own_rates(recording: Recording) -> set[str]:

@@ -49,7 +49,8 @@ MOST_FACTOR = 1.6
 """
 
 MOST_PICKED_UP = 0.15
-"""Largest usual amplitude of such a line, as a share of the standard deviation of its noise.
+"""Largest usual amplitude of a line that a single sensor picks up, as a share of the standard deviation of its
+noise.
 """
 
 _LINES = 4

@@ -195,10 +195,10 @@ def _without_names_of_runs(phases: Sequence[Phase]) -> list[Phase]:
     """Return the phases with other names for runs if a log has several. A turn-on series has a file for each run; runs
     of a motor or of a turntable have the same names, which then do not mean rest.
     """
-    runs = [phase for phase in phases if phase.name.startswith(_RUN)]
-    several = len(runs) > 1
+    if sum(phase.name.startswith(_RUN) for phase in phases) < 2:
+        return list(phases)
     return [
-        phase._replace(name=phase.name.replace(" ", "-")) if several and phase in runs else phase for phase in phases
+        phase._replace(name=phase.name.replace(" ", "-")) if phase.name.startswith(_RUN) else phase for phase in phases
     ]
 
 
