@@ -17,7 +17,8 @@ lag of the element's temperature, the response to force and rate, the noise, the
 signal and the position of an accelerometer. The attitude of the box is also one, if no log states which axis was up and
 no other accelerometer shows it; so is the position of the level within a code (Widrow and Kollar, Quantization Noise,
 2008, ch. 4: the moments and the shares of codes of a rounded normal quantity vary with its mean by the characteristic
-function at multiples of 2 pi). The motion is known if the recordings have a track or another sensor of the quantity.
+function at multiples of 2 pi). The motion is known if the recordings have a track or another sensor of the quantity; an
+effect of the recorder changes all sensors alike, so that only a track shows it.
 """
 
 from __future__ import annotations
@@ -117,15 +118,19 @@ def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> floa
     return float(np.clip(severity * (wanted / reached) ** (1 / power), 1 / FURTHEST, FURTHEST))
 
 
-def matched_statistic(plain: Sequence[Log], changed: Sequence[Log], has_track: bool = True) -> float:
+def matched_statistic(
+    plain: Sequence[Log], changed: Sequence[Log], has_track: bool = True, is_of_recorder: bool = False
+) -> float:
     """Return the largest matched statistic of any sensor's axis. `plain` logs have a reference if anything moved;
-    `has_track` states whether the diagnosis also receives it.
+    `has_track` states whether the diagnosis also receives it, `is_of_recorder` whether the effect is of the recorder,
+    and therefore the same for all sensors.
     """
     quantities = {name: sensor.quantity for log in plain for name, sensor in log.sensors.items()}
     inertial = [name for name, quantity in quantities.items() if quantity in INERTIAL]
     largest = 0.0
     for name in inertial:
-        is_motion_known = has_track or [quantities[other] for other in inertial].count(quantities[name]) > 1
+        has_others = [quantities[other] for other in inertial].count(quantities[name]) > 1
+        is_motion_known = has_track or (has_others and not is_of_recorder)
         pairs = [_LogPair(log, other, name) for log, other in zip(plain, changed, strict=True) if name in log.sensors]
         largest = max([largest, *_sensor_statistics(pairs, is_motion_known)])
     return largest

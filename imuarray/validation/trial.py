@@ -102,7 +102,8 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
             def statistic(severity: float, put: Put = put) -> float:
                 paths = (written(), written(replace(put, severity=severity)))
                 plain, changed = ([stack.enter_context(open_log(path)) for path in logs] for logs in paths)
-                return matched_statistic(plain, changed, has_track=world["recorder"]["reference"])
+                is_of_recorder = mechanisms()[put.mechanism]["place"] == "host"
+                return matched_statistic(plain, changed, world["recorder"]["reference"], is_of_recorder)
 
             fit = find_severity(statistic, put.limits, first)  # nominal limits stay if they were reached
             puts.append(

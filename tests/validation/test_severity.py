@@ -118,16 +118,18 @@ SECONDS = np.arange(ROWS) / 100
 ANGLE_RAD = np.where(np.arange(ROWS) // 800 % 2, 2 * np.pi * np.sin(np.pi * SECONDS / 8) ** 2, 0.0)
 
 
-def turning(folder: Path, *added: Floats) -> list[Log]:
-    """Return logs of an accelerometer that turns about z at times, with `added` counts, and the motion as commanded."""
+def turning(folder: Path, *added: Floats, names: str = "A") -> list[Log]:
+    """Return logs of accelerometers that turn about z at times, with `added` counts, and the motion as commanded."""
     opened = []
     force_g = np.stack([np.sin(ANGLE_RAD), np.cos(ANGLE_RAD), 0 * ANGLE_RAD], axis=1)
     time = np.arange(ROWS, dtype=np.int64) * 10_000_000
     for number, counts in enumerate(added):
         path = folder / f"turning-{number}.h5"
-        with LogWriter(path, [HEADER], source="imported", epoch="2024-01-01T00:00:00Z") as log:
-            rounded = np.round(2048 * force_g + noise() + counts).astype(np.int16)
-            log.append("A", Block(time, rounded, np.zeros(ROWS, np.uint16)))
+        headers = [replace(HEADER, name=name) for name in names]
+        with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+            for seed, name in enumerate(names, start=1):
+                rounded = np.round(2048 * force_g + noise(seed) + counts).astype(np.int16)
+                log.append(name, Block(time, rounded, np.zeros(ROWS, np.uint16)))
             rate = np.zeros((ROWS, 3))
             rate[:, 2] = np.gradient(ANGLE_RAD, SECONDS)
             log.stimulus("reference", Stimulus(time, 9.80665 * force_g, rate, np.full(ROWS, 25.0)))
@@ -169,6 +171,22 @@ def test_a_delay_is_observable_only_against_another_recording(tmp_path: Path) ->
     assert matched_statistic([plain], [delayed], has_track=True) > 1.5 * matched_statistic(
         [plain], [delayed], has_track=False
     )
+
+
+@pytest.mark.slow
+def test_a_clock_of_all_sensors_is_observable_only_against_a_track(tmp_path: Path) -> None:
+    """The recorder dates the rows of two accelerometers 20 ms late. One of them would be late behind the other, but
+    both are late together.
+    """
+    late = np.zeros((ROWS, 3))
+    plain = turning(tmp_path, late, names="AB")[0]
+    counts = 2048 * np.stack([np.sin(ANGLE_RAD), np.cos(ANGLE_RAD), 0 * ANGLE_RAD], axis=1)
+    late[2:] = counts[:-2] - counts[2:]
+    (tmp_path / "late").mkdir()
+    delayed = turning(tmp_path / "late", late, names="AB")[0]
+    of_a_sensor = matched_statistic([plain], [delayed], has_track=False)
+    assert matched_statistic([plain], [delayed], has_track=True, is_of_recorder=True) == of_a_sensor
+    assert of_a_sensor > 1.5 * matched_statistic([plain], [delayed], has_track=False, is_of_recorder=True)
 
 
 @pytest.mark.slow
