@@ -5,7 +5,7 @@ attitude in several phases of a log; expected values are those of the simulation
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,16 @@ from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_DIE_LAG_S, LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.populations import response_tolerance
-from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays, stated_delay
+from imuarray.gap.model.signal_delay import (
+    NO_DELAY,
+    SignalDelay,
+    _odd_units,
+    _Problem,
+    _slopes,
+    _step,
+    fit_signal_delays,
+    stated_delay,
+)
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
 from imuarray.gap.recording.recordings import CHIP_LEAD_S, reference_of
 from imuarray.gap.recording.source import simulated_sources
@@ -319,3 +328,41 @@ def test_a_misalignment_is_relative_to_the_median_of_the_accelerometers(accelero
     alone, among = response_tolerance(part), response_tolerance(part, accelerometers)
     assert np.arcsin(among[0, 1]) == pytest.approx(widening * np.arcsin(alone[0, 1]), rel=1e-3)
     assert among[0, 0] == alone[0, 0]
+
+
+_CUTOFFS_HZ = {"A": 50.0, "B": 20.0, "C": 70.0, "D": 25.0}
+"""Cutoffs of gyroscopes that follow one motion."""
+
+
+def delays_of_units(extra_s: Mapping[str, float], ratio: float, count: int) -> Mapping[str, SignalDelay]:
+    """Delays fitted to the first `count` gyroscopes, whose filters delay by `ratio` times the delay of two poles at
+    the cutoff, 1 / (sqrt(2) pi f), and by `extra_s`. Each is compared with the mean of the others, known to 0.1 ms.
+    """
+    headers = {
+        name: SensorHeader(name, "l3g4200d", "angular_rate", "dps", 8.75e-3, 250.0, rate_hz=400.0, bandwidth_hz=hertz)
+        for name, hertz in list(_CUTOFFS_HZ.items())[:count]
+    }
+    two_poles_s = {name: 1 / (math.sqrt(2) * math.pi * _CUTOFFS_HZ[name]) for name in headers}
+    late_s = np.array([ratio * two_poles_s[name] + extra_s.get(name, 0.0) for name in headers])
+    odd = _odd_units(headers, ())
+    parameters = np.array([[two_poles_s[name], *(name in unit.sensors for unit in odd)] for name in headers])
+    relative = np.eye(count) - (1 - np.eye(count)) / (count - 1)
+    most = np.array([1.5, *(math.inf for _ in odd)])
+    problem = _Problem(relative @ late_s, np.full(count, 1e8), relative @ parameters, np.zeros(len(most)), most)
+    return _step(problem, headers, (), odd)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1.0])
+def test_a_late_gyroscope_does_not_change_the_delays_of_filters(ratio: float) -> None:
+    """It has the longest nominal delay, and thus the largest influence on the common ratio."""
+    delays = delays_of_units({"B": 0.008}, ratio, count=4)
+    for name, hertz in _CUTOFFS_HZ.items():
+        assert delays[name].filter_s == pytest.approx(ratio / (math.sqrt(2) * math.pi * hertz), abs=1e-4)
+
+
+def test_three_gyroscopes_do_not_show_which_is_late() -> None:
+    """Nominal delays d of 4.50, 11.25 and 3.22 ms: the ratio by least squares, the covariance of d with the delays of
+    0, 8 and 0 ms over the variance of d, is 39.4 / 37.3.
+    """
+    delays = delays_of_units({"B": 0.008}, 0.0, count=3)
+    assert delays["B"].filter_s == pytest.approx(39.4 / 37.3 * 11.25e-3, rel=0.01)

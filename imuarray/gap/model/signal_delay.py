@@ -3,7 +3,8 @@
 A two-pole low-pass filter with the configured cutoff f delays the signal by 1 / (sqrt(2) pi f). No data sheet prints
 the order of the filter or the tolerance of its cutoff, and some print only the bandwidth of the noise. The ratio of the
 delay to this figure, between 0 and `MOST_RATIO`, is a nuisance parameter that is common to the sensors of one quantity.
-If a sensor has another ratio, its delay has another cause. A delay that the log states is that of the data sheet; it is
+If a sensor has another ratio, its delay has another cause: of `FEWEST_UNITS` or more sensors, one that is later than
+the ratio of the others predicts is left out of the fit. A delay that the log states is that of the data sheet; it is
 simulated as stated and is not a parameter.
 
 A chip that decimates also delays its readings by several of its own periods. The number of periods is the same for all
@@ -53,6 +54,11 @@ periods, with a margin for the polls.
 _LEAST_ODD_PERIODS, _LEAST_ODD_SQUARES = 0.5, 25.0
 """Least delay relative to other units of the same chip type, in periods of the data rate, at which a unit is left out
 of the fit of their delay, and the least decrease of the sum of squares that this must give: five standard deviations.
+"""
+
+FEWEST_UNITS = 4
+"""Least number of sensors of one quantity with a filter of which one may be left out of the fit of the common ratio.
+Three sensors have only two relative delays, which the ratio and the delay of any one of them explain.
 """
 
 _LEAST_CHANGE_S, _SLOPES = 1e-5, (0.5, 5.0)
@@ -288,10 +294,14 @@ def _late_stamps(
 
 
 def _odd_units(headers: Mapping[str, SensorHeader], late: Sequence[_LateStamps]) -> list[_LateStamps]:
-    """Return each unit that may be later than those with which it has a delay in common. Early units are not
-    considered: a reading can be old when it is stamped, but it is never taken after its stamp.
+    """Return each unit that may be later than those with which it has a delay, or the ratio of the delay of its filter,
+    in common. Early units are not considered: a reading can be old when it is stamped, but it is never taken after its
+    stamp.
     """
     shared = {name for stamps in late if len(stamps.sensors) > 1 for name in stamps.sensors}
+    filtered = {name for name, header in headers.items() if _nominal_delay_s(header) > 0}
+    if len(filtered) >= FEWEST_UNITS:
+        shared |= filtered
     return [
         _LateStamps(frozenset([name]), math.inf, 0.0, is_odd=True, period_s=1 / header.rate_hz)
         for name, header in headers.items()
