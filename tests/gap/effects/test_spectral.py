@@ -12,6 +12,7 @@ from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.noise import assign_signs, noise_of_logs, rarity_behind
 from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.model.rest import FittedParameters
+from imuarray.gap.model.signal_delay import SignalDelay
 from imuarray.gap.statistics.lines import highest_lines
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bandwidth import Bandwidth
@@ -87,10 +88,30 @@ def test_a_filter_too_fast_for_the_rows_is_suggested_from_its_delay() -> None:
     assert isinstance(found, Bandwidth)
     assert (found.share, found.poles) == (1.0, 2.0)
     assert found.cutoff_hz == pytest.approx(60.0, rel=0.3)
+    usual = replace(evidence.fitted, delay=SignalDelay(filter_s=0.002))
+    delayed = replace(evidence, fitted=usual, effects=usual.effects())
+    assert trial.effects[0] in [one.effects[0] for one in CANDIDATES["bandwidth"].guesses(delayed)]
+    known = replace(delayed, effects=(*usual.effects(), found))
+    assert trial.effects[0] not in [one.effects[0] for one in CANDIDATES["bandwidth"].guesses(known)]
     early = evidence_of(("static", "motion"), "G1", {"G1": (Skew(-0.004),)}, seed=7)
     assert not [
         one for one in CANDIDATES["bandwidth"].guesses(early) if one.effects[0] == replace(found, cutoff_hz=60.0)
     ]
+
+
+@pytest.mark.slow
+def test_a_filter_that_was_fitted_to_the_noise_is_suggested_for_the_signal() -> None:
+    """The fit explains the correlation of the rows, 0.3 for 25 Hz, and leaves the delay, 9 ms = 1 / (sqrt(2) pi 25 Hz).
+    A delay of another filter in the same motion is suggested by its own size.
+    """
+    late = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(25.0, 1.0, 2.0, signal_only=1.0),)}, seed=7)
+    evidence = replace(late, fitted=replace(late.fitted, low_pass=Bandwidth(20.0, poles=2.0)))
+    own, by_delay = list(CANDIDATES["bandwidth"].guesses(evidence))[-2:]
+    assert (own.effects, own.free) == ((Bandwidth(20.0, 1.0, 2.0, signal_only=1.0),), ())
+    (effect,) = by_delay.effects
+    assert isinstance(effect, Bandwidth)
+    assert (effect.share, effect.poles, effect.signal_only) == (1.0, 2.0, 1.0)
+    assert effect.cutoff_hz == pytest.approx(25.0, rel=0.2)
 
 
 def test_noise_below_the_data_sheet_suggests_a_filter() -> None:

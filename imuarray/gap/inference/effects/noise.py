@@ -260,7 +260,10 @@ def guess_bandwidth(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     yield from _in_quiet_logs(evidence)
     yield from with_removal(evidence, Bandwidth.name, _bandwidth_hypotheses(evidence))
-    if not any(isinstance(effect, Bandwidth) and effect.share for effect in evidence.effects):
+    nuisance = evidence.fitted.effects()  # the usual delay of a filter is no obstacle to an unusual one
+    if not any(
+        isinstance(effect, Bandwidth) and effect.share and effect not in nuisance for effect in evidence.effects
+    ):
         yield from _by_delay(evidence)
 
 
@@ -318,14 +321,20 @@ def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest a filter by its delay, with two poles, as output stages have at least. With one pole, rows would show it
-    by their correlation.
+    by their correlation. If the rows have the correlation of a filter that was fitted to their noise, suggest that this
+    filter delays the signal too, by as much as its cutoff says or by the delay that the motion shows.
     """
     lags_seen = odd_lags(evidence)
     if not lags_seen or any(lag.is_large for lag in lags_seen):
         return
-    lag_s = mean_of(lags_seen, "lag_s")
-    if lag_s > 0 and _TWO_POLES.correlation(1 / (lag_s * evidence.rows_per_s)) < _UNSEEN:
-        cutoff_hz = two_pole_cutoff_hz(lag_s)
+    lag_s, fitted = mean_of(lags_seen, "lag_s"), evidence.fitted.low_pass
+    if lag_s <= 0:
+        return
+    cutoff_hz = two_pole_cutoff_hz(lag_s)
+    if fitted is not None:
+        yield Hypothesis((Bandwidth(fitted.cutoff_hz, 1.0, fitted.poles, signal_only=1.0),))
+        yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0, signal_only=1.0),), ("cutoff_hz",))
+    elif _TWO_POLES.correlation(1 / (lag_s * evidence.rows_per_s)) < _UNSEEN:
         yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))
 
 
