@@ -372,6 +372,23 @@ def test_a_rest_is_cut_where_the_box_moves(tmp_path: Path) -> None:
     assert second._replace(start_ns=0) == AFTER._replace(start_ns=0)
 
 
+@pytest.mark.parametrize(("gyroscopes", "drifting", "is_cut"), [(2, 1, False), (3, 2, True), (1, 1, True)])
+def test_a_rest_is_cut_where_several_sensors_move(
+    tmp_path: Path, gyroscopes: int, drifting: int, *, is_cut: bool
+) -> None:
+    """Biases of 5 dps in the first rows: a single one of several gyroscopes is not turned; one that is alone cannot be
+    compared.
+    """
+    log = written(tmp_path / "log.h5", array(accelerometers=2, gyroscopes=gyroscopes), phases=(REST,))
+    log.close()
+    with h5py.File(tmp_path / "log.h5", "r+") as file:
+        for number in range(drifting):
+            file[f"sensors/Gyro{number}/counts"][:40] += 500
+    with open_log(tmp_path / "log.h5") as log:
+        rest = quiet_rest(list(log.sensors.values()), REST)
+    assert (rest.phase.start_ns > REST.start_ns) == is_cut
+
+
 @pytest.mark.slow
 def test_a_rest_is_cut_where_motors_start(tmp_path: Path) -> None:
     """Two accelerometers are shaken by 0.02 g from 3 s until the end of the phase; a single one may be at fault."""

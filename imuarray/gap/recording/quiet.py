@@ -3,7 +3,7 @@
 Labels are set by hand, a second early or late. A box at rest is touched, or stands on a desk at which somebody types,
 or on a vehicle whose engine starts. A simulation contains none of these. If the noise of a single sensor rises, the
 sensor causes it. If the noise of several sensors rises at the same time, the box is not at rest: these times are left
-out, as are the ends of a phase in which the box still moves.
+out, as are the ends of a phase in which the box still moves, according to several sensors of a quantity if there are.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def quiet_rest(triads: Sequence[SensorLog], rest: Phase) -> QuietRest:
     blocks = [_blocks_of(sensor, edges_ns) for sensor in read]
     votes = np.sum([block.is_restless for block in blocks], axis=0)
     is_restless = (votes >= max(2.0, _SHARE * len(read))) | _is_hidden_from_others(read, blocks)
-    moves = np.any([block.moves for block in blocks], axis=0)
+    moves = _moves(read, blocks)
     first = _cut(is_restless, moves, edges_ns)
     stop = len(is_restless) - _cut(is_restless[::-1], moves[::-1], edges_ns)
     around_ns = round(_AROUND_S * 1e9)
@@ -170,6 +170,19 @@ def _is_hidden_from_others(sensors: Sequence[SensorLog], blocks: Sequence[_Block
         is_clear = blocks[at].is_restless & (blocks[at].excess > _CLEAR * blocks[at].least)
         hidden |= is_clear & (blocks[at].excess < least)
     return hidden
+
+
+def _moves(sensors: Sequence[SensorLog], blocks: Sequence[_Blocks]) -> Booleans:
+    """Return the blocks (b,) in which the box moves: all sensors of a quantity measure a motion, so several of them
+    must, and at least `_SHARE` of them. The level of a single one changes with its temperature, or by a corrupted
+    reading.
+    """
+    is_moved = np.zeros(len(blocks[0].moves), bool)
+    for quantity in INERTIAL:
+        own = [block.moves for sensor, block in zip(sensors, blocks, strict=True) if sensor.quantity == quantity]
+        if own:
+            is_moved |= np.sum(own, axis=0) >= max(min(2, len(own)), _SHARE * len(own))
+    return is_moved
 
 
 class _Blocks(NamedTuple):
