@@ -35,7 +35,7 @@ from imuarray.log.journal import is_running
 from imuarray.log.sensor_log import SensorLog
 from imuarray.log.untrusted_input import DAMAGE, open_file, plain_value, positive, read_texts
 from imuarray.printable import counted
-from imuarray.spelling import guess
+from imuarray.spelling import as_names, guess
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +65,7 @@ class Log:
         if self.path.is_dir():
             raise LogError(f"{path}: is a folder")
         try:
-            self._file, self._damaged = _open(self.path, thorough, journal_fd)
+            self._opened, self._damaged = _open(self.path, thorough, journal_fd)
         except DAMAGE as error:
             raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
         except LogError as error:  # errors of its parts do not name the log
@@ -85,7 +85,7 @@ class Log:
             is_plain = isinstance(self._file, h5py.File) and not self._damaged
             self._changed = changed_parts(self._file) if is_plain else []
         except BaseException as error:
-            self._file.close()
+            self._opened.close()
             if isinstance(error, DAMAGE):
                 raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
             raise
@@ -107,6 +107,13 @@ class Log:
             )
         if not isinstance(self._file.get("sensors"), Mapping | h5py.Group) or len(self._file["sensors"]) == 0:
             raise LogError(f"{self.path}: group sensors is missing or empty")
+
+    @property
+    def _file(self) -> h5py.File | LiveView:
+        """The open file; LogError if it was closed."""
+        if not self.is_open:
+            raise LogError(f"{self.path}: the log is closed; read it while it is open")
+        return self._opened
 
     @property
     def preamble(self) -> Preamble | None:
@@ -190,7 +197,7 @@ class Log:
             raise LogError(f"{self.path}: sensor {name} is damaged; intact are {', '.join(self.sensors)}")
         if name not in self.sensors:
             raise LogError(
-                f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}{guess(name, self.sensors)}"
+                f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}{guess(str(name), self.sensors)}"
             )
         return self.sensors[name]
 
@@ -304,13 +311,13 @@ class Log:
         """
         return {name: sensor.to_pandas(calibration, phase=phase) for name, sensor in self.sensors.items()}
 
-    def plot(self, sensors: Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
-        """Return the recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.
-        MissingExtraError without matplotlib (extra "report").
+    def plot(self, sensors: str | Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
+        """Return the recording over time, in SI in the box frame: a panel for each sensor, or for those of `sensors`, a
+        name or several names. MissingExtraError without matplotlib (extra "report").
         """
         from imuarray.log.datasets import log_figure
 
-        return log_figure([self[name] for name in sensors or self.sensors], calibration)
+        return log_figure([self[name] for name in as_names(sensors) or self.sensors], calibration)
 
     def __repr__(self) -> str:
         if not self.is_open:
@@ -334,11 +341,11 @@ class Log:
     @property
     def is_open(self) -> bool:
         """True if it can be read."""
-        return bool(self._file)
+        return bool(self._opened)
 
     def close(self) -> None:
-        """Close the file; its datasets can't be read any more."""
-        self._file.close()
+        """Close the file; LogError if anything in it is read afterwards."""
+        self._opened.close()
 
     def __enter__(self) -> Self:
         return self

@@ -80,7 +80,7 @@ class SensorLog(CountScale):
         """
         if not isinstance(group, GROUP):
             raise LogError(f"{where}: is not a group; a sensor is a group of columns with attributes")
-        self._group, self._cache = group, cache
+        self._opened_group, self._cache = group, cache
         self._attributes = group.attrs
         self._attribute_names = frozenset(group.attrs)  # HDF5 is slow for an attribute that does not exist
         self._columns: dict[str, NamedColumn] = {}
@@ -256,6 +256,13 @@ class SensorLog(CountScale):
         other rows. None for a sensor without pulses.
         """
         return self._column(SYNC_PULSE) if self.has_compensated(SYNC_PULSE) else None
+
+    @property
+    def _group(self) -> h5py.Group | LiveGroup:
+        """The group of the open file; LogError if the log was closed."""
+        if isinstance(self._opened_group, h5py.Group) and not self._opened_group:
+            raise LogError(f"{self.where}: the log is closed; read it while it is open")
+        return self._opened_group
 
     def _has(self, name: str) -> bool:
         return name in self._columns or self._group.get(name) is not None

@@ -686,7 +686,8 @@ def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
         journal_copy = lock.put_aside()
     elif lock is not None:
         lock.remove()
-    reserve_of(path).unlink(missing_ok=True)
+    if reserve_of(path).exists():
+        reserve_of(path).unlink(missing_ok=True)
     sweep(path)
     sync_folder(path)
     return journal_copy

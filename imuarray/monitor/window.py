@@ -56,7 +56,7 @@ class MemoryLog(Log):
         for name, (attributes, rows) in sensors.items():
             columns = {key: Column(key, np.ascontiguousarray(values)) for key, values in rows.items()}
             groups[name] = LiveGroup(f"/sensors/{name}", attributes, columns)
-        self._file, self._damaged = cast(h5py.File, _SensorsFile(groups)), []
+        self._opened, self._damaged = cast(h5py.File, _SensorsFile(groups)), []
         self.sensors = {
             name: SensorLog(group, f"{path}, sensor {name}", self, _not_sent) for name, group in groups.items()
         }

@@ -329,6 +329,16 @@ def test_a_log_with_file_and_journal_damaged_is_refused(run: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_finished_log_on_a_read_only_disk_needs_no_recovery(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recover(run)
+
+    def refused(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert not recover(run).changed
+
+
 def test_a_finished_log_ignores_its_remaining_journal(run: Path) -> None:
     """The state after a kill between the last two steps of its end."""
     journal = journal_of(run).read_bytes()

@@ -366,3 +366,34 @@ def test_a_heap_checked_file_is_positioned_as_any_file(small: Path, offset: int,
         assert file.read(5) == content[:5]
         assert file.seek(offset, whence) == file.tell() == expected
         assert file.read(3) == content[expected : expected + 3]
+
+
+READERS: dict[str, Callable[[Log], object]] = {
+    "epoch": lambda log: log.epoch,
+    "state": lambda log: log.state,
+    "phases": lambda log: log.phases,
+    "events": lambda log: log.events,
+    "truth": lambda log: log.truth,
+    "a column that was not read before": lambda log: log["Acc"].counts[:2],
+    "a compensated column": lambda log: log["Baro"].compensated("pressure"),
+    "names of columns": lambda log: log["Baro"].count_columns,
+}
+
+
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS)
+def test_a_closed_log_is_not_read(small: Path, read: Callable[[Log], object]) -> None:
+    with open_log(small) as log:
+        pass
+    with pytest.raises(LogError, match=r"small\.h5.*: the log is closed"):
+        read(log)
+
+
+def test_a_sensor_is_selected_by_its_name_not_by_a_number(small: Path) -> None:
+    with open_log(small) as log, pytest.raises(LogError, match="no sensor 0; it has Acc, Baro, Gyro"):
+        log[0]  # type: ignore[index]
+
+
+def test_a_single_name_is_one_sensor_to_plot(small: Path) -> None:
+    pytest.importorskip("matplotlib")
+    with open_log(small) as log:
+        assert len(log.plot("Acc").axes) == len(log.plot(["Acc"]).axes) == 1
