@@ -17,7 +17,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.column_names import COMPUTED, INDEX, SPELLINGS, TIME, column_label, unit_in
-from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT
+from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT, has_no_day
 from imuarray.importers.plausibility import FEWEST_ROWS, RATES_HZ, USUAL_RATES_HZ
 from imuarray.importers.resolution import (
     RATE_SENSITIVITIES,
@@ -267,8 +267,12 @@ def time_lines(
     name = names[index] if index < len(names) else ""
     lines = [f"column = {column_label(names, index)}"]
     if index in dates:
-        month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
-        return [*lines, f"unit = {quote(dates[index])}{month}"]
+        unit, layout = dates[index], proposal.layout
+        if layout.day_column is not None and has_no_day(unit):
+            unit = f"{layout.day_format} {unit}"
+            lines.append(f"date_column = {column_label(names, layout.day_column)}")
+        month = "   # ? the month may come after the day: %d/%m" if unit.startswith("%m/") else ""
+        return [*lines, f"unit = {quote(unit)}{month}"]
     values = columns[index]
     steps = np.diff(values)
     if name.lower() == "sampletimefine":
@@ -563,10 +567,11 @@ def _propose_counts(quantity: str, length: float, largest: float) -> list[str]:
         ]
     if quantity == "angular_rate":
         usual_scales = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
+        reason = "not determined: turns at known times are required"
         return [
             'unit = "dps"',
             "range = 250   # ?",
-            f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {usual_scales}",
+            f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? {reason}; common are {usual_scales}",
         ]
     per_gauss, range_gauss = min(_MAGNETOMETERS, key=lambda scale: abs(ln(max(length, 1.0) / scale[0] / _EARTH_GAUSS)))
     return [
@@ -596,7 +601,9 @@ def _propose_unit(quantity: str, values: Floats, force_unit: str) -> list[str]:
     else:
         sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
     unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
-    return [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
+    is_gal = unit == "mg" and abs(length - 100 * STANDARD_GRAVITY) < abs(length - 1000.0)
+    other = "; 1 g in gal (cm/s2) would be 980.7" if is_gal else ""
+    return [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}{other}']
 
 
 def _unit_of_codes(rates: Floats) -> tuple[str, float] | None:

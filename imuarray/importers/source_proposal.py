@@ -38,6 +38,7 @@ from imuarray.importers.text_layout import (
     columns_of,
     dates_of,
     names_by_kind,
+    note_days,
     quote,
     read_text,
 )
@@ -194,6 +195,7 @@ class _Text(NamedTuple):
 def _propose_table(text: _Text) -> Proposal:
     """Propose a map of a text with one table. Its rows may belong to several instances of a sensor."""
     columns = columns_of(text.rows, text.layout)
+    note_days(text.layout, text.rows)
     dates = _dates_of_rows(text.rows, text.names, columns)
     units = units_below_header(text.layout, text.names)
     words = kind_column(text.names, text.rows)
@@ -302,6 +304,7 @@ def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFil
             continue
         units = units_below_header(layout, names)
         columns = columns_of(rows, layout)
+        note_days(layout, rows)
         partial = propose_columns(layout, names, columns, _dates_of_rows(rows, names, columns), name, units)
         if not partial.items and partial.attitudes:
             doubts.append(f"left out: {path.name}: {QUATERNION}")

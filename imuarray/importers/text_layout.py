@@ -61,6 +61,10 @@ class TextLayout:
     """The rate of the rows as stated in the lines above the table."""
     rate_source: str = ""
     """The line that states it."""
+    day_column: int | None = None
+    """The column of dates without a time of day, if there is one."""
+    day_format: str = ""
+    """Its format, in the notation of `datetime.strptime`."""
 
     def lines(self) -> list[str]:
         """Return the lines of `[file]`."""
@@ -325,6 +329,26 @@ def dates_of(rows: Sequence[Sequence[str]]) -> dict[int, str]:
         elif _CLOCK.fullmatch(text) and _is_clock([row[index].strip() for row in rows if len(row) > index]):
             dates[index] = "%H%M%S.%f"
     return dates
+
+
+def note_days(layout: TextLayout, rows: Sequence[Sequence[str]]) -> None:
+    """Note the first column of dates without a time of day, and their format, in the layout."""
+    for index in range(min(map(len, rows))):
+        cells = {row[index].strip() for row in rows}
+        for pattern, unit in _DAYS:
+            if all(re.fullmatch(pattern, cell) for cell in cells):
+                is_day_first = unit == "%m/%d/%Y" and any(int(cell.partition("/")[0]) > 12 for cell in cells)
+                layout.day_column, layout.day_format = index, "%d/%m/%Y" if is_day_first else unit
+                return
+
+
+_DAYS: Sequence[tuple[str, str]] = (
+    (r"\d{4}-\d\d?-\d\d?", "%Y-%m-%d"),
+    (r"\d{4}/\d\d?/\d\d?", "%Y/%m/%d"),
+    (r"\d\d?\.\d\d?\.\d{4}", "%d.%m.%Y"),
+    (r"\d\d?/\d\d?/\d{4}", "%m/%d/%Y"),
+)
+"""Patterns of dates without a time of day, and the format that a map states for them."""
 
 
 _CLOCK = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d\.\d+")

@@ -290,3 +290,42 @@ def test_a_single_row_raises_no_warning(tmp_path: Path) -> None:
     """One row has no step of time; warnings are errors here."""
     (tmp_path / "one.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS[:1], walk().time_s[:1], form="{:d}"))
     assert 'column = "t"' in guess_map(tmp_path / "one.csv")
+
+
+@pytest.mark.parametrize(
+    ("day", "unit", "first"),
+    [
+        ("06.05.2024", "%d.%m.%Y", "2024-05-06"),
+        ("2024/05/06", "%Y/%m/%d", "2024-05-06"),
+        ("2024-05-06", "%Y-%m-%d", "2024-05-06"),
+        ("26/05/2024", "%d/%m/%Y", "2024-05-26"),
+        ("05/06/2024", "%m/%d/%Y", "2024-05-06"),
+    ],
+)
+def test_a_date_in_a_column_of_its_own_dates_the_times_of_day(tmp_path: Path, day: str, unit: str, first: str) -> None:
+    rows = [
+        f"{day};12:00:{second:02.0f},{part:03d};0.01;-0.02;{1.0 + 1e-3 * (part % 7):.3f}"
+        for second in range(60)
+        for part in range(0, 1000, 50)
+    ]
+    source = tmp_path / "day.csv"
+    source.write_text("\n".join(["Datum;Uhrzeit;ax [g];ay [g];az [g]", *rows]) + "\n")
+    table_map = guess_map(source)
+    assert f'date_column = "Datum"\nunit = "{unit} %H:%M:%S.%f"' in table_map
+    is_ambiguous = day.startswith("05/")
+    assert ("the month may come after the day" in table_map) == is_ambiguous
+    (tmp_path / "map.toml").write_text(table_map)
+    run = tmp_path / "day.h5"
+    assert main(["import", str(source), "--map", str(tmp_path / "map.toml"), "-o", str(run)]) == 0
+    with open_log(run) as log:
+        assert np.datetime64(int(log["Acc"].time[0]), "ns") == np.datetime64(f"{first}T12:00:00", "ns")
+        assert int(log["Acc"].time[-1]) - int(log["Acc"].time[0]) == 59_950_000_000
+
+
+def test_a_force_in_gal_may_be_taken_for_mg_and_the_map_says_so(tmp_path: Path) -> None:
+    source = tmp_path / "gal.csv"
+    source.write_text(text_of("t,ax,ay,az", SI[:, :3] * 100))
+    assert 'unit = "mg"   # ? from the size of the values: 98' in guess_map(source)
+    assert "1 g in gal (cm/s2) would be 980.7" in guess_map(source)
+    source.write_text(text_of("t,ax,ay,az", COUNTS[:, :3] / 4096 * 1000, form="{:.2f}"))
+    assert "in gal (cm/s2)" not in guess_map(source)
