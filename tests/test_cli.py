@@ -22,6 +22,7 @@ from imuarray.acquire import RecordingCounts
 from imuarray.cli import COMMANDS, main
 from imuarray.commands.log import Interruptible
 from imuarray.commands.log_display import LogScreen
+from imuarray.commands.options import progress
 from imuarray.log import open_log
 from imuarray.log.format import Event
 from tests.selection import some
@@ -213,6 +214,8 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
         "wrong.toml:8: sensor 1 'A': range 5: allowed are 2, 4, 8, 16",
     ),
     (("log", "one.toml", "--bus", "nonsense", "-o", "r.h5"), "bus 'nonsense': allowed are"),
+    (("log", "one.toml", "--bus", "/dev/i2c-1", "-o", "r.h5"), "emulated:; did you mean i2c:/dev/i2c-1?"),
+    (("log", "one.toml", "--bus", "/dev/ttyUSB0", "-o", "r.h5"), "emulated:; did you mean serial:/dev/ttyUSB0?"),
     (("log", "one.toml", "--bus", "i2c:/dev/none", "-o", "r.h5"), "i2c:/dev/none: No such file or directory"),
     (("log", "one.toml", "--bus", "replay:none.jsonl", "-o", "r.h5"), "replay:none.jsonl: No such file"),
     (("log", "one.toml", "--bus", "replay:one.toml", "-o", "r.h5"), "one.toml, line 1: not a transaction"),
@@ -538,6 +541,32 @@ def test_progress_is_shown_on_a_terminal(run: Run, here: Path, monkeypatch: pyte
     assert "r.h5: 100 frames, 2 of 3 s, 0 readings lost" in [line.strip() for line in shown]
     assert shown[-1] == ""
     assert out.startswith("r.h5: 150 frames in 3.0 s")
+
+
+def test_the_progress_line_fits_a_narrow_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each update of a longer line would begin a new one."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("imuarray.commands.log_display._PAUSE_S", 0)
+    monkeypatch.setenv("COLUMNS", "40")
+    _, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
+    shown = [line.strip() for line in "\n".join(err).split("\x1b[K")]
+    assert "r.h5: 100 frames, 2 of 3 s, 0 readings" in shown
+    assert max(map(len, shown[1:])) <= 39
+
+
+def test_a_progress_bar_fits_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with progress(100, "a_folder/a_night_001.h5") as move:
+        for done in range(0, 101, 5):
+            move(done)
+    shown = re.split(r"\r|\n", re.sub(r"\x1b\[[?0-9]*[a-zA-Z]", "", sys.stderr.getvalue()))
+    assert "..01.h5  [####----]   50%" in [line.rstrip() for line in shown]
+    assert max(map(len, shown)) <= 39
 
 
 def test_the_name_of_a_log_needs_its_suffix(run: Run, here: Path) -> None:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imuarray.commands.options import terminal_columns
 from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
 
@@ -68,6 +69,7 @@ class LogScreen:
         )
         if status := self._status():
             self._line += f"; {printable(status)}"
+        self._line = self._line[: terminal_columns()]
         self._write(_CLEAR + self._line)
 
     def close(self) -> None:

@@ -129,8 +129,11 @@ def command(options: MonitorOptions) -> None:
     if options.once and not (options.as_text or options.as_json):
         raise click.UsageError("--once needs --text or --json")
     run = options.run
-    if options.once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
+    is_begun = run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()
+    if options.once and not is_begun:
         raise click.UsageError(f"{run}: no such file{guess_file(run)}")
+    if not is_begun and options.parent is None:
+        click.echo(f"imuarray: waiting for {run}, which does not exist yet{guess_file(run)}", err=True)
     if options.as_text or options.as_json:
         from imuarray.monitor import LogMonitor
         from imuarray.monitor.log_monitor import lower_priority

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -274,8 +275,9 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
     The bar is hidden without a terminal and if the `length` is unknown (0).
     """
     hidden = not length or not sys.stderr.isatty()
+    label, width = _fit_bar(label, terminal_columns())
     with (
-        click.progressbar(length=max(length, 1), label=label, file=sys.stderr, hidden=hidden) as bar,
+        click.progressbar(length=max(length, 1), label=label, width=width, file=sys.stderr, hidden=hidden) as bar,
         _interrupts() as heed,
     ):
 
@@ -284,6 +286,38 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
             bar.update(min(done, length) - bar.pos)
 
         yield move
+
+
+def terminal_columns() -> int:
+    """Return the usable columns of the terminal of standard error, or of 80 without one; the last column stays free,
+    because some terminals would wrap.
+    """
+    columns = shutil.get_terminal_size().columns
+    if not os.environ.get("COLUMNS"):  # standard output may be a file
+        with suppress(OSError, ValueError, AttributeError):
+            columns = os.get_terminal_size(sys.stderr.fileno()).columns or columns
+    return columns - 1
+
+
+_BAR_COLUMNS = (8, 36)
+"""Least and largest length of a progress bar."""
+
+_BAR_FRAME = 24
+"""Columns of a progress line besides label and bar: spaces, brackets, the share, the remaining time (1d 02:03:04)."""
+
+
+def _fit_bar(label: str, columns: int) -> tuple[str, int]:
+    """Return the label, whose end is kept, and the length of a progress bar that fits into a line, because each update
+    of a longer one would begin a new line.
+
+    >>> _fit_bar("run.h5", 80), _fit_bar("run.h5", 40), _fit_bar("folder/night_001.h5", 40)
+    (('run.h5', 36), ('run.h5', 10), ('..001.h5', 8))
+    """
+    least, most = _BAR_COLUMNS
+    room = max(columns - _BAR_FRAME, least)
+    if len(label) + least > room:
+        label = f"..{label[-(room - least - 2) :]}" if room - least > 2 else ""
+    return label, max(least, min(most, room - len(label)))
 
 
 @contextmanager

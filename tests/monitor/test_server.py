@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
+from imuarray.cli import main
 from imuarray.monitor.log_monitor import LogMonitor, SharedSnapshots
 from imuarray.monitor.server import HEADERS, address_of, is_own, new_token, refusal
 from tests.monitor.page_server import serve_page
@@ -166,3 +167,16 @@ def test_a_request_after_the_end_gets_the_last_snapshot(logger, log_path: Path) 
     assert json.loads(before)["sensors"][0]["rows"] == 100
     assert after == before
     assert figures > 0
+
+
+def test_a_log_that_does_not_exist_yet_is_waited_for_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served: list[Path] = []
+    monkeypatch.setattr("imuarray.monitor.server.serve", lambda run, page: served.append(run))
+    run = tmp_path / "night.h5"
+    assert main(["monitor", str(run)]) == 0
+    assert capsys.readouterr().err == f"imuarray: waiting for {run}, which does not exist yet\n"
+    assert main(["monitor", str(run), "--parent", "1"]) == 0  # the page of `imuarray log --monitor`
+    assert capsys.readouterr().err == ""
+    assert served == [run, run]
