@@ -160,6 +160,8 @@ def _sensor(kind: str, name: Any, array: ArrayLike) -> str:
 
 def _seconds(table: Mapping[str, Any], key: str, default: float | None) -> float:
     value = table.get(key, default)
+    if value is None:
+        raise ValueError(f"{key} is missing; a number of seconds is required")
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= FOR_GOOD_S:
         raise ValueError(f"{key} = {value!r}; a number of seconds is required")
     return float(value)

@@ -293,13 +293,16 @@ def parse_toml(text: str, model: type[File], where: str) -> File:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         line = _TOML_LINE.search(str(error))
-        raise ConfigError(f"{where}{f':{line.group(1)}' if line else ''}: not TOML: {error}") from None
+        repeated = _REPEATED_TABLE.match(str(error))
+        hint = f"; several tables of one name need two brackets: [[{repeated.group(1)}]]" if repeated else ""
+        raise ConfigError(f"{where}{f':{line.group(1)}' if line else ''}: not TOML: {error}{hint}") from None
     try:
         return _check(table, model, text, where)
     except RecursionError:
         raise ConfigError(f"{where}: tables nested without end") from None
 
 
+_REPEATED_TABLE = re.compile(r"Cannot declare \('([A-Za-z0-9_-]+)',\) twice")
 _TOML_LINE = re.compile(r"\(at line (\d+), column \d+\)$")
 
 

@@ -124,6 +124,7 @@ def test_an_effect_is_added_to_one_sensor_only(tmp_path: Path) -> None:
         ({"experiment": "heat"}, "allowed are static, tumble, heating"),
         ({"effects": {"Gyro9": []}}, "effects of 'Gyro9': the array has"),
         ({"effects": {"Gyro1": ["tone"]}}, r"effects of Gyro1: 'tone' is no effect; give EFFECTS\[\"tone\"\]"),
+        ({"effects": {"Gyro1": EFFECTS["tone"](amplitude=1.0)}}, r"effects of Gyro1: Tone\(.*: a list of effects is"),
         ({"model": "datashet"}, "no model of that name"),
     ],
 )

@@ -355,3 +355,9 @@ def test_addresses_are_hexadecimal_in_errors() -> None:
     text = Path("configs/martin2013.toml").read_text(encoding="utf-8").replace("address = 0x70", "address = 0x41", 1)
     with pytest.raises(ConfigError, match="mux: address: 0x41: allowed is 0x70 or more"):
         parse_array(text, "a.toml")
+
+
+def test_a_second_table_with_single_brackets_is_explained() -> None:
+    sensor = '[sensor]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
+    with pytest.raises(ConfigError, match=r"not TOML: .*two brackets: \[\[sensor\]\]$"):
+        parse_array(f'[array]\nname="a"\n{sensor}{sensor}')

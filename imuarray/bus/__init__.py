@@ -33,9 +33,9 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
     """
     scheme, colon, rest = url.partition(":")
     if not colon or scheme not in _SCHEMES:
-        raise BusUrlError(
-            f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}{guess(f'{scheme}:', [f'{name}:' for name in _SCHEMES])}"
-        )
+        device = next((name for prefix, name in _DEVICES.items() if url.startswith(prefix)), "")
+        near = f"; did you mean {device}:{url}?" if device else guess(f"{scheme}:", [f"{name}:" for name in _SCHEMES])
+        raise BusUrlError(f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}{near}")
     return _SCHEMES[scheme](rest, array)
 
 
@@ -103,5 +103,8 @@ _SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {
     "replay": _replay,
     "emulated": _open_emulated,
 }
+
+_DEVICES = {"/dev/i2c": "i2c", "/dev/tty": "serial"}
+"""Beginnings of the paths of devices, and the scheme of their buses."""
 
 _EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "spi:", "iio:", "emulated:")

@@ -181,6 +181,8 @@ def with_effects(
     for name in added:
         if name not in effects:
             raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")
+        if isinstance(added[name], str) or not isinstance(added[name], Sequence):
+            raise ConfigError(f"effects of {name}: {added[name]!r}: a list of effects is required")
         for effect in added[name]:
             if not isinstance(effect, tuple(EFFECTS.values())):
                 hint = (

@@ -287,7 +287,7 @@ def test_faults_and_mechanisms_act_together(array: ArrayConfig, tmp_path: Path) 
         ({"kind": "stuck_bus", "sensor": "A", "for_s": 1}, "sensor: stuck_bus concerns the whole array"),
         ({"kind": "reset", "sensor": "A", "wen": 1}, "wen: no such key of reset; allowed are kind, sensor, at_s, "),
         ({"kind": "reset", "sensor": "A", "bias": [1, 2, 3]}, "bias: no such key of reset"),
-        ({"kind": "stuck_bus"}, "for_s = None; a number of seconds is required"),
+        ({"kind": "stuck_bus"}, "for_s is missing; a number of seconds is required"),
         ({"kind": "stuck_bus", "for_s": -1}, "for_s = -1; a number of seconds is required"),
         ({"kind": "stuck_bus", "for_s": True}, "for_s = True; a number of seconds is required"),
         ({"kind": "stuck_bus", "for_s": float("nan")}, "for_s = nan; a number of seconds is required"),
@@ -309,7 +309,7 @@ def test_an_error_names_its_line(array: ArrayConfig, tmp_path: Path) -> None:
     for wrong, message in (
         ('# two\n[[fault]]\nkind = "stuck_bus"\n# a comment\nfor_s = -1\n', ":8: fault 2: for_s = -1; a number"),
         ("[[ fault ]]\nkind = 'reset'\nsensor = 'A'\nwen = 1\n", ":7: fault 2: wen: no such key of reset"),
-        ("[[fault]]\nkind = 'stuck_bus'\n", ":4: fault 2: for_s = None; a number of seconds is required"),
+        ("[[fault]]\nkind = 'stuck_bus'\n", ":4: fault 2: for_s is missing; a number of seconds is required"),
     ):
         path.write_text(good + wrong)
         with pytest.raises(ValueError, match=r"fault 2") as refusal:
