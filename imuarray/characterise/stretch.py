@@ -25,6 +25,9 @@ from imuarray.spelling import guess
 STILL_NAMES = frozenset({"static", "room"})
 """Names of phases at rest. Phases named by the axis that points up are at rest as well."""
 
+MOVING_NAMES = frozenset({"motion"})
+"""Names of phases in which the box moves, whether or not an axis is noted as up."""
+
 FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
 
 GAP = 1.5
@@ -103,7 +106,8 @@ def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
 
 
 def _is_at_rest(phase: Phase) -> bool:
-    return bool(phase.up) or phase.name in STILL_NAMES or phase.name.removesuffix("_check") in FACE_NAMES
+    is_named = phase.name in STILL_NAMES or phase.name.removesuffix("_check") in FACE_NAMES
+    return is_named or (bool(phase.up) and phase.name not in MOVING_NAMES)
 
 
 def _stretch(phases: list[Phase], chosen_by: str) -> Stretch:

@@ -425,6 +425,12 @@ def test_windows_have_at_least_two_rows() -> None:
     assert window_ns([0.01]) == 5_000_000_000
 
 
+def test_windows_of_unresolved_motions_have_at_least_five_rows() -> None:
+    """Five rows of the slowest sensor and 0.1 s."""
+    assert window_ns([100.0, 400.0], is_resolved=False) == 100_000_000
+    assert window_ns([28.0, 400.0], is_resolved=False) == 200_000_000
+
+
 def test_nonlinear_responses_are_estimated_as_square_and_cube() -> None:
     """Two gyroscopes on one turning box, noise of 0.1 dps, rates of 60 dps rms about each axis. A reads w + b w^2 + c
     w^3, with b = 2e-4 per dps on x and c = 2e-6 per dps^2 on y: 1.0 dps and 1.0 dps rms in addition to the linear

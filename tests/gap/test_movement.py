@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from scipy.signal import lfilter
 
+from imuarray.errors import LogError
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording import movement
@@ -527,6 +528,41 @@ def test_a_knock_that_only_the_quietest_accelerometer_can_measure_is_excluded(
 @pytest.mark.parametrize(("name", "is_still"), [("heat", True), ("cool", True), ("soak", True), ("drive", False)])
 def test_the_box_is_at_rest_in_an_oven(name: str, *, is_still: bool) -> None:
     assert is_at_rest(Phase(0, SECOND, name)) is is_still
+
+
+@pytest.mark.parametrize(("name", "is_still"), [("motion", False), ("on its lid", True)])
+def test_a_noted_axis_does_not_make_a_motion_a_rest(name: str, *, is_still: bool) -> None:
+    """A motor runs in a phase named motion, whichever axis is up."""
+    assert is_at_rest(Phase(0, SECOND, name, "+Z")) is is_still
+
+
+def test_still_parts_of_a_noted_motion_are_not_compared(tmp_path: Path) -> None:
+    """A boat that hardly rocks for some seconds is not at rest."""
+    log = written(tmp_path / "log.h5", array(accelerometers=1, gyroscopes=1), phases=(Phase(0, 12 * SECOND, "motion"),))
+    with pytest.raises(LogError, match="never at rest"):
+        recordings_of([log])
+
+
+def test_the_force_of_a_rotation_is_centripetal_and_tangential() -> None:
+    """The rate about z grows by 2 rad/s2 from 3 rad/s: at 50 mm along x the force is -r w^2 along x and 2 r along y."""
+    seconds = np.arange(100) * 0.01
+    rate = np.stack([0 * seconds, 0 * seconds, 3 + 2 * seconds], axis=1)
+    rate[40:45] = np.nan
+    nothing, force = movement.force_of_rotation(rate, 0.01, np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]]))
+    assert not nothing.any()
+    expected = np.stack([-0.05 * (3 + 2 * seconds) ** 2, 0 * seconds + 0.1, 0 * seconds], axis=1)
+    np.testing.assert_allclose(force[5:-5], expected[5:-5], atol=1e-3)
+
+
+def test_a_robust_mean_has_the_noise_of_a_mean() -> None:
+    """Four equal sensors: the mean has a quarter of the variance of one, their median 0.30 (order statistics). A sensor
+    that is far off shifts the result by at most half of a standard deviation, 2 / 4, beside that of the others.
+    """
+    readings = np.random.default_rng(5).normal(size=(4, 4000, 3))
+    weights = np.ones(4)
+    assert movement.robust_mean(readings, weights=weights).var() == pytest.approx(0.25, rel=0.06)
+    readings[2] += 50.0
+    assert np.abs(movement.robust_mean(readings, weights=weights).mean()) < 0.8
 
 
 def test_a_weighted_median_of_unequal_sensors() -> None:

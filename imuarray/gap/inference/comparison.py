@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from types import MappingProxyType
 
@@ -311,17 +311,16 @@ def _summarise(recordings: Sequence[Recording], split: Split) -> Campaign:
     """Return all logs, in the phases of the split."""
     logs = []
     for recording, phases in zip(recordings, split.phases(), strict=True):
-        reference = reference_of(recording.experiment.motion)
+        reference = reference_of(recording.experiment.motion)._replace(unresolved=partial(_unresolved_in, recording))
         summary = summarise_log(recording.kind, sources_of(recording), phases, reference)
         lines = {name: line for name, (_, line) in recording.experiment.plan.sensors.items()}
         moving = [phase for phase in recording.phases if not is_at_rest(phase)]
         events = events_of(recording.log, lines, moving, reference.track)
-        parts = tuple(replace(part, unresolved=_unresolved_in(part.phase, recording)) for part in summary.phases)
-        logs.append(replace(summary, phases=parts, events=events, spells=_Spells(recording)))
+        logs.append(replace(summary, events=events, spells=_Spells(recording)))
     return Campaign(tuple(logs))
 
 
-def _unresolved_in(part: Phase, recording: Recording) -> tuple[str, ...]:
+def _unresolved_in(recording: Recording, part: Phase) -> tuple[str, ...]:
     """Return the quantities with unresolved changes in the motion of which this is a part."""
     return next(
         (

@@ -55,6 +55,11 @@ second as a multiple of the noise. The third is the least noise, in counts, that
 number of rows that are used.
 """
 
+_ACCELERATION_S = 0.02
+"""Time over which an angular acceleration is estimated, before and after each moment, in s: the noise of a difference
+from one row to the next would exceed the force that it determines.
+"""
+
 _UNRESOLVED, _AS_QUIET = 2.0, 1.5
 """Ratio of the third differences of readings in a motion to those at rest above which the motion has changes that the
 rows do not resolve: third differences of a smooth turn by hand are below the noise. The sensors that decide it have at
@@ -90,6 +95,12 @@ _NOISE_WINDOWS, _FEWEST_OF_NOISE, _MOST_OF_NOISE = 256, 4, 64
 
 _ROUNDING = 1e-9
 """Relative error of a sum of weights."""
+
+_OUTLYING, _LEAST_WEIGHT = 2.0, 1e-300
+"""Deviation of a reading from the median of the sensors, in standard deviations of its noise, to which it is limited in
+their mean: the mean then has 2 % more noise than that of all readings, and a faulty sensor shifts it by at most this
+share. The least sum of weights avoids a division by zero where no sensor has a reading.
+"""
 
 _CLIPPED = 0.97
 """Share of the range above which a rate is assumed to be clipped: zero and scale vary from part to part."""
@@ -389,8 +400,10 @@ def _course(
         _mean_noise(gyroscopes, rests, window_s),
     )
     if accelerometers:
+        places = np.array([sensor.position_mm for sensor in accelerometers]) * 1e-3
+        by_place = force_of_rotation(rate, window_s, places - places.mean(axis=0))
         force = _mean_of(
-            [_window_means(sensor, edges_ns) for sensor in accelerometers],
+            [_window_means(sensor, edges_ns) - added for sensor, added in zip(accelerometers, by_place, strict=True)],
             _mean_noise(accelerometers, rests, window_s),
         )
     else:
@@ -399,6 +412,24 @@ def _course(
     if np.count_nonzero(known) < _FEWEST_WINDOWS or not shows_motion(force[known], rate[known]):
         return None
     return _Course(middles_ns[known], force[known], rate[known])
+
+
+def force_of_rotation(rate: Floats, window_s: float, places_m: Floats) -> Floats:
+    """Return the specific forces (s, w, 3), in m/s2, that a rotation adds at the places (s, 3): the centripetal and the
+    tangential ones of a rigid body. The rates (w, 3) of successive windows, in rad/s, are interpolated where they are
+    unknown. All vectors are in the box's frame.
+    """
+    known = np.flatnonzero(np.isfinite(rate[:, 0]))
+    if not places_m.any() or not len(known):
+        return np.zeros((len(places_m), *rate.shape))
+    windows = np.arange(len(rate))
+    step = max(round(_ACCELERATION_S / window_s), 1)
+    before, now, after = (
+        np.stack([np.interp(windows + shift, known, column[known]) for column in rate.T], axis=1)
+        for shift in (-step, 0, step)
+    )
+    acceleration = (after - before) / (2 * step * window_s)
+    return np.array([np.cross(acceleration, place) + np.cross(now, np.cross(now, place)) for place in places_m])
 
 
 def shows_motion(force: Floats, rate: Floats) -> bool:
@@ -540,8 +571,7 @@ def _mean_of(sensors: Sequence[Floats], noise: Floats) -> Floats:
     mean, apart = _middle_of(readings[:, known])
     # White noise of variance 1 has second differences of variance 6. The difference of a sensor from the mean of s
     # sensors has (s - 1) / s of the sensor's variance, and the mean has 1 / s of it.
-    of_each = mean[None] if len(readings) == 1 else apart
-    scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
+    scatter = np.nanmedian(_noise_of(mean[None] if len(readings) == 1 else apart), axis=0)
     white = scatter / max(len(readings) - 1, 1)
     places = np.linspace(0, 1, len(known) // 2 + 1)
     at_rest = np.array([np.interp(places, np.linspace(0, 1, len(noise)), column) for column in noise.T]).T
@@ -552,15 +582,32 @@ def _mean_of(sensors: Sequence[Floats], noise: Floats) -> Floats:
 def _middle_of(readings: Floats) -> tuple[Floats, Floats]:
     """Return the mean (w, 3) of the readings (s, w, 3) of s sensors and the deviation (s, w, 3) of each from it.
 
-    For three or more sensors it is their median, weighted by the inverse variances of their noise, of which no sensor
-    has more than half. Each sensor's mean deviation from it is subtracted first, so that a sensor without readings in a
-    window causes no step.
+    For three or more sensors it is the one-step M-estimate of Huber (Ann. Math. Stat. 35, 1964): their median, weighted
+    by the inverse variances of their noise, of which no sensor has more than half, plus the mean of the deviations from
+    it, each limited to `_OUTLYING` standard deviations of the noise. The noise of a median alone may be twice that of a
+    mean. Each sensor's mean deviation is subtracted first, so that a sensor without readings in a window causes no
+    step.
     """
     middle: Callable[..., Floats] = np.nanmean
     if len(readings) > 2:
-        middle = partial(weighted_median, weights=_weights(readings))
+        middle = partial(robust_mean, weights=_weights(readings))
     apart = readings - middle(readings, axis=0)
     return middle(readings - np.nanmean(apart, axis=1, keepdims=True), axis=0), apart
+
+
+def robust_mean(readings: Floats, axis: int = 0, *, weights: Floats) -> Floats:
+    """Return the robust mean (w, 3) of readings (s, w, 3) with weights (s,), as `_middle_of` describes it."""
+    median = weighted_median(readings, axis, weights=weights)
+    apart = readings - median
+    limit = _OUTLYING * np.sqrt(_noise_of(apart))[:, None]
+    shares = np.where(np.isfinite(apart), weights[:, None, None], 0.0)
+    total = np.maximum(shares.sum(axis=0), _LEAST_WEIGHT)
+    return np.asarray(median + (shares * np.nan_to_num(np.clip(apart, -limit, limit))).sum(axis=0) / total)
+
+
+def _noise_of(values: Floats) -> Floats:
+    """Return the variance (s, 3) of white noise from the second differences of values (s, w, 3)."""
+    return np.asarray(np.nanmedian(np.diff(values, n=2, axis=1) ** 2, axis=1) / MEDIAN_ABSOLUTE**2 / 6)
 
 
 def _mean_noise(sensors: Sequence[SensorLog], rests: Sequence[Phase], window_s: float) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.axes import up_vector
 from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
-from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
+from imuarray.characterise.stretch import FACE_NAMES, MOVING_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
 from imuarray.gap.recording.movement import (
@@ -101,10 +101,12 @@ _RUN = "run "
 
 
 def is_at_rest(phase: Phase) -> bool:
-    """Return whether the box is at rest in a phase: an axis is noted as up, or the phase has the name of a rest."""
+    """Return whether the box is at rest in a phase: the phase has the name of a rest, or an axis is noted as up and the
+    name is not that of a motion.
+    """
     name = phase.name
     is_named = name in STILL_NAMES or name in FACE_NAMES or name in OVEN_NAMES
-    return bool(phase.up) or is_named or name.startswith((_RUN, "pose "))
+    return is_named or name.startswith((_RUN, "pose ")) or (bool(phase.up) and name not in MOVING_NAMES)
 
 
 class ComparablePhases(NamedTuple):
@@ -147,6 +149,9 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     detected, notes = ([], []) if still else _detected_poses(log)
     if is_tracked:
         detected = [phase for phase in detected if not moves_by_track(phase, motion)]
+    elif in_motion := [phase for phase in detected if _is_noted_as_motion(phase, noted)]:
+        detected = [phase for phase in detected if phase not in in_motion]
+        notes.append(f"Static stretches left out because they are noted as motion: {len(in_motion)}.")
     quiet = [*still, *(quiet_rest(triads, phase) for phase in detected)]
     all_rests = [rest.phase for rest in quiet]
     turns = list(_turns(sorted([*moving, *(rest.phase for rest in still)])))
@@ -189,6 +194,14 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
         seconds = sum(end_ns - begin_ns for begin_ns, end_ns in knocked) * 1e-9
         notes.append(f"{seconds:.3g} s of motions are left out: several sensors show that the box is knocked.")
     return ComparablePhases(phases, tuple(movements), notes, tuple(always), (*restless, *knocked), unresolved)
+
+
+def _is_noted_as_motion(stretch: Phase, phases: Sequence[Phase]) -> bool:
+    """Return whether one of the noted phases with the name of a motion includes the stretch."""
+    return any(
+        phase.name in MOVING_NAMES and phase.start_ns <= stretch.start_ns and stretch.end_ns <= phase.end_ns
+        for phase in phases
+    )
 
 
 def _without_names_of_runs(phases: Sequence[Phase]) -> list[Phase]:

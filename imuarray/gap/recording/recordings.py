@@ -92,13 +92,15 @@ are left out for it.
 
 
 class LogReference(NamedTuple):
-    """The references of a log: the `temperature`; the `track` of an instrument's motion; and `turned`, the motion that
-    the array's own sensors show between attitudes.
+    """The references of a log: the `temperature`; the `track` of an instrument's motion; `turned`, the motion that
+    the array's own sensors show between attitudes; and a function that returns the quantities with changes in a phase
+    that the rows leave `unresolved`.
     """
 
     temperature: Temperature
     track: Motion | None = None
     turned: PoseSequence | None = None
+    unresolved: Callable[[Phase], tuple[str, ...]] = lambda _: ()
 
 
 class Experiment(NamedTuple):

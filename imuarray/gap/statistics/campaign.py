@@ -26,11 +26,13 @@ from imuarray.units import INERTIAL
 @dataclass(frozen=True)
 class Layout:
     """Resolution at which a phase is summarised: the grid of every sensor and the length of the common windows.
-    Simulations use the layout of the recorded phase.
+    Simulations use the layout of the recorded phase. `unresolved`: the quantities with changes in a recorded motion
+    that the rows do not resolve.
     """
 
     grids: Mapping[str, Grid]
     window_ns: int
+    unresolved: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,6 @@ class PhaseSummary:
     """Summary of one phase: its number in the log, a summary for each sensor, and `cross`, the joint moments of the
     inertial sensors and, in motion, of a track (None for fewer than two). `ups_box` are the directions up in the box's
     frame at the begin and end of a turn between two rests, or of a part of it; None at rest or if they are unknown.
-    `unresolved`: the quantities with changes in a recorded motion that the rows do not resolve.
     """
 
     phase: Phase
@@ -47,7 +48,6 @@ class PhaseSummary:
     sensors: Mapping[str, Summary]
     cross: Cross | None
     ups_box: tuple[Up, Up] | None = None
-    unresolved: tuple[str, ...] = ()
 
     @property
     def is_still(self) -> bool:
@@ -156,7 +156,8 @@ def _summarise_phase(
     """Summarise one phase of each replicate: short phases of several replicates jointly, long ones one replicate at a
     time, to bound the memory.
     """
-    survey = _PhaseSurvey(phase, number, reference, layout or layout_of(replicates[0], phase), layout is None)
+    used = layout or layout_of(replicates[0], phase, reference.unresolved(phase))
+    survey = _PhaseSurvey(phase, number, reference, used, layout is None)
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
     at_once = max(CHUNK // max(rows, 1), 1)
     summaries: list[PhaseSummary] = []
@@ -314,13 +315,16 @@ def _interleave(
         yield name, several
 
 
-def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
-    """Return the layout of a phase, from the number of rows of each sensor."""
+def layout_of(sources: Mapping[str, Source], phase: Phase, unresolved: tuple[str, ...] = ()) -> Layout:
+    """Return the layout of a phase, from the number of rows of each sensor and the quantities with `unresolved`
+    changes, for which the windows are longer.
+    """
     rows = {name: source.rows(phase.start_ns, phase.end_ns) for name, source in sources.items()}
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
     rates = [rows[name] / seconds for name, source in sources.items() if source.header.quantity in INERTIAL]
     grids = {name: Grid.of(count) for name, count in rows.items()}
-    return Layout(grids, window_ns([rate for rate in rates if rate] or [1.0]))
+    known_rates = [rate for rate in rates if rate] or [1.0]
+    return Layout(grids, window_ns(known_rates, is_resolved=not unresolved), unresolved)
 
 
 def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:

@@ -191,7 +191,7 @@ def _least_of_cross(probe: CrossProbe, phase: PhaseSummary, sensor: str) -> Floa
     if phase.cross is None:
         return probe.resolution
     least = np.maximum(probe.resolution, probe.uncertainty(phase.cross, sensor))
-    is_resolved = phase.sensors[sensor].header.quantity not in phase.unresolved
+    is_resolved = phase.sensors[sensor].header.quantity not in phase.layout.unresolved
     return least if is_resolved else np.maximum(least, probe.unresolved(phase.cross))
 
 

@@ -54,6 +54,11 @@ _WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _WINDOW_ROWS = 2.0
 """Least mean number of rows of the slowest sensor in a window."""
 
+_UNRESOLVED_ROWS, _UNRESOLVED_S = 5.0, 0.1
+"""Least mean number of rows, and least length, of a window in a motion with changes that the rows do not resolve. The
+filters of the sensors, the moments of their rows, and knocks of a few ms change single rows, and hardly these means.
+"""
+
 _PRODUCTS = np.triu_indices(3)
 
 
@@ -152,9 +157,12 @@ class Cross:
         return {sensor.name: place for place, sensor in enumerate(self.sensors)}
 
 
-def window_ns(rates_hz: Sequence[float]) -> int:
-    """Return, in ns, the shortest of the usual windows in which the slowest sensor has two rows; at most 5 s."""
-    needed_s = _WINDOW_ROWS / min(rates_hz)
+def window_ns(rates_hz: Sequence[float], *, is_resolved: bool = True) -> int:
+    """Return, in ns, the shortest of the usual windows in which the slowest sensor has two rows; at most 5 s. If the
+    rows do not resolve the motion, it has five rows and is at least 0.1 s long.
+    """
+    rows, shortest_s = (_WINDOW_ROWS, 0.0) if is_resolved else (_UNRESOLVED_ROWS, _UNRESOLVED_S)
+    needed_s = max(rows / min(rates_hz), shortest_s)
     return round(next((window_s for window_s in _WINDOWS_S if window_s >= needed_s), _WINDOWS_S[-1]) * 1e9)
 
 

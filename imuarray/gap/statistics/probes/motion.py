@@ -364,7 +364,7 @@ _OF_A_SLIP = 0.03
 """Correlation with a power of the rate that is caused by a delay that varies as the polls slip against the data clock.
 """
 
-_OF_GAINS, _OF_VARIANCES, _OF_WINDOWS = 0.25, 4.0, 1.5
+_OF_GAINS, _OF_VARIANCES, _OF_WINDOWS = 0.25, 4.0, 0.3
 """Least meaningful differences in a motion with changes that the rows do not resolve: of gains and correlations, of
 logs of variances, and of delays as a share of a window. In recordings of healthy sensors that are turned by hand, swung
 or carried they differ from simulations of the estimated motion by up to 0.2, 1.9 and 0.4; a score that varies by less
