@@ -82,8 +82,9 @@ def test_short_logs_coast_for_less(seconds: int, tau_s: float) -> None:
 def test_short_or_missing_readings_have_no_coasting() -> None:
     assert coasting(campaign((header("A"), white(20.0, rows=40))), "A") is None
     assert coasting(campaign((header("A"), white(20.0))), "B") is None
-    # its noted axis up means at rest
-    assert coasting(campaign((header("A"), white(20.0)), phase="motion"), "A") is not None
+    # a noted axis up means at rest, unless the phase is a motion
+    assert coasting(campaign((header("A"), white(20.0)), phase="on a shelf"), "A") is not None
+    assert coasting(campaign((header("A"), white(20.0)), phase="motion"), "A") is None
 
 
 def test_stuck_sensor_has_no_error() -> None:

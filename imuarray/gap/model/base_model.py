@@ -755,7 +755,7 @@ def _filter_of(
     is_filter = least < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
     if not is_filter or least > _MEASURED * measured.by_chance * phases:
         correlations = _of_samples(measured, expected[nearest])
-        is_short = white > _UNLIKELY * measured.by_chance * phases and _is_forgotten(correlations)
+        is_short = white > _UNLIKELY * measured.by_chance * phases and _is_forgotten(correlations, measured.rows.sum())
         if correlations and (is_filter or is_short):
             return replace(best, correlations=correlations), 0.0
     if not is_filter:
@@ -783,9 +783,12 @@ def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandw
     return min(float(np.linalg.norm(rest)) / slope, _LARGEST_FORM_ERROR) if slope > 0 else 0.0
 
 
-def _is_forgotten(correlations: Sequence[float]) -> bool:
-    """Return whether the correlations are negligible beyond the lags to which filters are fitted."""
-    return all(abs(correlation) < LEAST_CORRELATION for correlation in correlations[_LAGS:])
+def _is_forgotten(correlations: Sequence[float], rows: float) -> bool:
+    """Return whether the correlations, estimated from this number of rows, are negligible or due to chance beyond the
+    lags to which filters are fitted.
+    """
+    by_chance = _BY_CHANCE * math.sqrt(_MEDIAN_VARIANCE / rows)
+    return all(abs(correlation) < max(LEAST_CORRELATION, by_chance) for correlation in correlations[_LAGS:])
 
 
 def _of_samples(measured: _Correlations, expected: Floats) -> tuple[float, ...]:
