@@ -26,6 +26,8 @@ class WireClock(Protocol):
 class VirtualClock:
     """A clock that advances only by transfers and sleeps."""
 
+    is_virtual = True
+
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
 

@@ -536,11 +536,11 @@ def test_the_part_with_the_events_is_named(run: Run, here: Path) -> None:
 def test_progress_is_shown_on_a_terminal(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr("imuarray.commands.log_display._PAUSE_S", 0)
-    _, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
+    _, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "7")
     shown = "\n".join(err).split("\x1b[K")
-    assert "r.h5: 100 frames, 2 of 3 s, 0 readings lost" in [line.strip() for line in shown]
+    assert "r.h5: 250 frames, 5 of 7 s, 0 readings lost" in [line.strip() for line in shown]
     assert shown[-1] == ""
-    assert out.startswith("r.h5: 150 frames in 3.0 s")
+    assert out.startswith("r.h5: 350 frames in 7.0 s")
 
 
 def test_the_progress_line_fits_a_narrow_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -97,6 +97,14 @@ def _watchdog_ns(environment: Mapping[str, str], process: int) -> int | None:
     return int(interval_us) * 1000
 
 
+BATCH_S = 1.0
+"""Time in s between two writes: rows that are not written are lost if the machine stops."""
+VIRTUAL_BATCH_S = 5.0
+"""That of a recording on a virtual clock, such as the emulated array's, on which it passes in a twentieth of a second.
+Writing takes as long for few rows as for many.
+"""
+
+
 @dataclass
 class RecordingCounts:
     """Counts of what happened while a log was recorded."""
@@ -138,6 +146,8 @@ class RecordingOptions:
     """Names of parts of the log, in times of the bus's clock."""
     rotate_s: float | None = None
     """Length in s of the parts into which the log is split; each part is a log (`imuarray.log.rotate`)."""
+    batch_s: float = BATCH_S
+    """Time in s between two writes, on the bus's clock."""
     wall_time: datetime | None = None
     """UTC time of the start; None: that of the transcript being replayed, else the wall clock, read once."""
     force: bool = False

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imuarray.acquire import record
+from imuarray.acquire.recording import VIRTUAL_BATCH_S
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.gap.model.workers import processes
@@ -81,5 +82,6 @@ def record_run(config: Path, path: Path, run: str, seconds: float, seed: int) ->
             phases=phases,
             phase=phase,
             up="+Z" if phase else "",
+            batch_s=VIRTUAL_BATCH_S,
             force=True,
         )

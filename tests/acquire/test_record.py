@@ -15,7 +15,7 @@ import pytest
 from imuarray.acquire import connect, record
 from imuarray.acquire.bus_segment import alternating_orders, routes_of
 from imuarray.acquire.recorder import Poll
-from imuarray.acquire.recording import Service
+from imuarray.acquire.recording import VIRTUAL_BATCH_S, Service
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError, SensorError
@@ -310,6 +310,23 @@ def test_progress_is_reported_every_second(board: MakeBoard) -> None:
     made, frames = board(A=0), list[int]()
     made.record(800, seconds=3, progress=frames.append)
     assert frames == [800, 1600, 2400, 2400]
+
+
+def test_progress_is_reported_after_each_batch(board: MakeBoard) -> None:
+    made, frames = board(A=0), list[int]()
+    made.record(10, seconds=11, batch_s=VIRTUAL_BATCH_S, progress=frames.append)
+    assert frames == [50, 100, 110]
+
+
+@pytest.mark.slow
+def test_rows_do_not_depend_on_the_batches(board: MakeBoard) -> None:
+    sensors = {"A0": 0, "A1": 1, "B": 1, "G": 0, "M": 2, "P": None}
+    contents = []
+    for batch_s in (1.0, VIRTUAL_BATCH_S):
+        made = board("world=shaking&still_s=2&motion_s=8", **sensors)
+        made.record(50, seconds=13, batch_s=batch_s, force=True)
+        contents.append({name: [column.tobytes() for column in made.rows(name)] for name in sensors})
+    assert contents[0] == contents[1]
 
 
 @pytest.mark.slow
