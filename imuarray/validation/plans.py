@@ -73,7 +73,8 @@ certainly hidden.
 
 def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[str]:
     """Return the effects that are probably hidden in a world, or with `for_sure` only those that are certainly hidden,
-    on a sensor of a chip, according to the conditions that they need.
+    on a sensor of a chip, according to the conditions that they need. A gain that follows temperature changes constant
+    readings as a bias does that follows temperature: no motion of a world is warm, and a force must change.
     """
     moves = "motion" in world.kinds and bool(world.recorder["reference"])
     accelerometers = sum(other != "l3g4200d" for other in world.inertial.values())
@@ -81,6 +82,7 @@ def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[s
     turns = world.faces >= (2 if for_sure else MANY_FACES)
     needs: Mapping[tuple[str, ...], bool] = {
         AT_ONE_TEMPERATURE: "heating" in world.kinds,
+        ("thermal_scale",): chip != "l3g4200d" and world.heated_faces > 1,
         tuple(set(IN_ONE_ATTITUDE) - {"g_sensitivity"}): moves or (turns and chip != "l3g4200d"),
         ("misalignment",): chip == "l3g4200d" or is_level_known,
         ("axis_error", "channel_swap"): (moves or turns) if chip == "l3g4200d" else is_level_known,

@@ -148,8 +148,12 @@ class World:
     @property
     def faces(self) -> int:
         """The approximate number of different faces on which the box lies."""
-        ups = np.array([pose["up"] for session in self.sessions for pose in session["poses"]])
-        return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
+        return _count_faces(self.sessions)
+
+    @property
+    def heated_faces(self) -> int:
+        """The approximate number of different faces on which the box is heated."""
+        return _count_faces([session for session in self.sessions if session["name"] == "heating"])
 
     def twins(self) -> list[tuple[str, str]]:
         """Return the pairs of sensors of one chip and range that are mounted differently: two that are mounted alike
@@ -171,6 +175,12 @@ class World:
     def table(self) -> Table:
         """Return the world as a JSON table for the generator."""
         return {"array": self.array, "sessions": list(self.sessions), "room": self.room, "recorder": self.recorder}
+
+
+def _count_faces(sessions: Sequence[Table]) -> int:
+    """Return the approximate number of different faces on which the box lies in these sessions."""
+    ups = np.array([pose["up"] for session in sessions for pose in session["poses"]]).reshape(-1, 3)
+    return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
 
 
 def plan_of(kinds: Sequence[str]) -> str:

@@ -223,6 +223,19 @@ def test_unobservable_mechanisms_are_not_cases() -> None:
 
 
 @pytest.mark.slow
+def test_a_gain_that_follows_temperature_needs_several_faces() -> None:
+    """An accelerometer that is heated on a single face reads a constant force, a gyroscope at rest nothing."""
+    heated = [world for seed in range(1_000_000, 1_000_100) if "heating" in (world := draw_world(seed)).kinds]
+    for world in heated:
+        assert "thermal_scale" in hidden_in(world, "l3g4200d", for_sure=True)
+        (heating,) = (session for session in world.sessions if session["name"] == "heating")
+        faces = {phase[3] for phase in heating["phases"]}
+        if world.strata["labels"] == "noted":
+            assert ("thermal_scale" in hidden_in(world, "bma180")) == (len(faces) == 1)
+    assert {world.heated_faces for world in heated} == {1, 2, 3}
+
+
+@pytest.mark.slow
 def test_a_mux_hang_needs_two_sensors_at_the_same_address() -> None:
     hung = [case for case in cases("development", SIZES["short"]) if "mux_hang" in {put.mechanism for put in case.puts}]
     assert hung
