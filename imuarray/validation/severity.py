@@ -259,12 +259,23 @@ def _spectra(counts: Floats, quiet: Booleans) -> Floats:
 
 
 def _share_drawn_anew(plain: Floats, changed: Floats, quiet: Booleans) -> float:
-    """Return the share of the noise that differs with the effect, 0 to 1."""
+    """Return the share of the noise that differs with the effect, 0 to 1: 1 for independent noise, also of another
+    size, and 0 for the same noise.
+    """
     if len(plain) < 8:
         return 0.0
-    moved, before = np.diff(changed - plain, axis=0), np.diff(plain, axis=0)
-    scatter = [np.median(np.abs(change - np.median(change, axis=0)), axis=0) for change in (moved, before)]
-    return float(np.clip(np.max(scatter[0] ** 2 / np.maximum(2 * scatter[1] ** 2, 0.5)), 0.0, 1.0))
+    moved, before, after = (_step_square(counts) for counts in (changed - plain, plain, changed))
+    return float(np.clip(np.max(moved / np.maximum(before + after, 0.5)), 0.0, 1.0))
+
+
+def _step_square(counts: Floats) -> Floats:
+    """Return (3,) the mean square of the steps of the readings from row to row, less their median, without outliers. A
+    median of the sizes would be coarse: those of a quiet sensor are one or two counts.
+    """
+    steps = np.diff(counts, axis=0)
+    sizes = np.abs(steps - np.median(steps, axis=0))
+    most = _FAR * np.maximum(np.median(sizes, axis=0) / MEDIAN_ABSOLUTE, 0.5)
+    return np.asarray((np.minimum(sizes, most) ** 2).mean(axis=0))
 
 
 def _sensor_statistics(pairs: Sequence[_LogPair], is_motion_known: bool) -> Iterator[float]:

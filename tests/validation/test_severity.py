@@ -74,6 +74,15 @@ def test_a_fitted_bias_or_noise_has_no_ratio(tmp_path: Path) -> None:
         assert matched_statistic([plain], [loud]) < LIMIT
 
 
+def test_independent_noise_of_two_counts_has_no_ratio(tmp_path: Path) -> None:
+    """White noise of 1.95 and of 1.55 counts. Half of the steps are at most two counts large, and so are half of the
+    differences of independent steps.
+    """
+    plain, other = ([size / SIGMA * noise(first + log) for log in range(4)] for size, first in ((1.95, 0), (1.55, 4)))
+    with logs(tmp_path, *plain, *other) as opened:
+        assert matched_statistic(opened[:4], opened[4:]) < LIMIT
+
+
 @pytest.mark.slow
 def test_deviations_within_the_tolerance_of_a_part_are_not_an_effect(tmp_path: Path) -> None:
     """A scale factor within 2.3 % (BMA-70), four times the noise, and a bias that scatters by half of what is usual
