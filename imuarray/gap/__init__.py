@@ -6,8 +6,9 @@ A **recording** x is a campaign of logs of one array: times, raw counts and flag
 and temperatures if the logs contain them. A **simulator** makes recordings of the same form from
 
 * **fitted parameters** theta: noise, bias, linear thermal slope of the bias, and the chip's own filter. Each replicate
-  draws the cutoff of the filter within the uncertainty that the rows leave (the filter is replaced by measured
-  correlations if they fit no filter);
+  draws the cutoff of the filter within the uncertainty that the rows leave. The noise of half of the replicates has the
+  measured correlations instead, since no fitted filter has exactly the form of the chip's (that of all replicates, if
+  they fit no filter);
 * **nuisance parameters** nu: properties of a unit that a data sheet does not specify, each with a tolerance
   (`model.populations`). The following are profiled within their tolerances: scale error, misalignment, g-sensitivity
   and tilt of the box; the lag of an element behind the temperature of the box, up to the lag of the dies by their own
@@ -48,8 +49,9 @@ all scores. Each score is replaced by the normal deviate with the same tail prob
 is fitted to the replicates; the scores of each replicate are converted with the tails of the others.
 
 **Motions without an instrument** are estimated from the sensors themselves (`recording.movement`), less the noise of
-their mean. Where the readings change faster than their rows resolve, as in a hand, the response of a sensor depends on
-the moments of its rows, and differences count only beyond wide margins.
+their mean. The mean is a robust one (Huber) of the readings without the rotational forces at the noted positions. Where
+the readings change faster than their rows resolve, as in a hand, the response of a sensor depends on the moments of its
+rows: sensors are then compared in longer windows, and differences count only beyond wide margins.
 
 **Pooled scores** (`statistics.pooled`). The norm of the amounts by which the normal scores of a sensor exceed one
 standard deviation is formed for each log and for all logs, and compared with chance like a single score: an effect that

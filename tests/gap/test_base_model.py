@@ -455,6 +455,21 @@ def test_a_short_digital_filter_has_the_measured_correlations(wander_rms: float)
     assert np.abs(low_pass_of(fitted).correlations[2:]).max() < 0.02
 
 
+def test_half_of_the_replicates_have_the_measured_correlations() -> None:
+    """One pole at 35 Hz read at the data rate of 200 Hz: 0.333 after one sample and 0.111 after two. Their share among
+    400 replicates is a half within three standard errors, 0.075.
+    """
+    phi = math.exp(-2 * math.pi * 35 / 200)
+    noise = lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], np.random.default_rng(7).normal(size=(20_000, 3)), axis=0)
+    base = base_of_rows(noise, 200.0, 35.0)
+    measured = base.fitted["G"].measured_low_pass
+    assert measured is not None
+    assert measured.correlations[:2] == pytest.approx((0.333, 0.111), abs=0.02)
+    is_measured = [measured in base.effects(number)["G"] for number in range(400)]
+    assert np.mean(is_measured) == pytest.approx(0.5, abs=0.075)
+    assert is_measured == [base.filter_draw("G", number).is_measured for number in range(400)]
+
+
 @pytest.mark.parametrize("wander_rms", [0.0, 0.5, 1.0])
 def test_a_filter_is_fitted_in_the_presence_of_a_slow_wander(wander_rms: float) -> None:
     """One pole at 35 Hz: 0.333 at the first lag; a wander over a minute makes it 0.67 where both have the same rms."""

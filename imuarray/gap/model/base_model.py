@@ -43,6 +43,7 @@ from imuarray.gap.model.populations import (
 )
 from imuarray.gap.model.rest import (
     REFERENCE_DEGC,
+    FilterDraw,
     FittedParameters,
     Rest,
     fit_sensor,
@@ -216,16 +217,17 @@ class Base:
         """Return the effects of every sensor; `replicate` 0, 1, ... is the number of the drawn units."""
         drawn_effects = self.drawn(replicate)
         return {
-            name: (*drawn_effects[name], *fitted.effects(self.cutoff_deviate(name, replicate)))
+            name: (*drawn_effects[name], *fitted.effects(self.filter_draw(name, replicate)))
             for name, fitted in self.fitted.items()
         }
 
-    def cutoff_deviate(self, sensor: str, replicate: int) -> float:
-        """Return the deviation of the log of the cutoff of a sensor's filter from the fitted one in a replicate, in
-        standard deviations (at most 2), since a fit to few rows is less precise than the statistics of all rows.
+    def filter_draw(self, sensor: str, replicate: int) -> FilterDraw:
+        """Return the filter of a sensor in a replicate. Its cutoff deviates by at most 2 standard deviations, since a
+        fit to few rows is less precise than the statistics of all rows; the noise of half of the replicates has the
+        measured correlations.
         """
         stream = Streams(replicate_seed(self.seed, replicate)).of_unit(sensor, Bandwidth.name, "cutoff")
-        return float(np.clip(stream.standard_normal(), -2.0, 2.0))
+        return FilterDraw(float(np.clip(stream.standard_normal(), -2.0, 2.0)), bool(stream.uniform() < 0.5))
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """Return the effects that are not fitted. They include neither white noise nor the individual bias; of a bias
@@ -359,10 +361,12 @@ def fit(
         fitted[name] = replace(fitted[name], clock_error=errors[name], delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model specifies the filter
-        low_pass, low_pass_sd = _filter_of(campaign, header, fitted[name], vibrations)
+        low_pass, low_pass_sd, measured = _filter_of(campaign, header, fitted[name], vibrations)
         if low_pass is not None:
             rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
-            fitted[name] = replace(fitted[name], rms=rms, low_pass=low_pass, low_pass_sd=low_pass_sd)
+            fitted[name] = replace(
+                fitted[name], rms=rms, low_pass=low_pass, low_pass_sd=low_pass_sd, measured_low_pass=measured
+            )
     flickering = frozenset(name for name, header in headers.items() if _may_flicker(header, fitted[name], rests[name]))
     return Base(headers, fitted, model, seed, flickering=flickering)
 
@@ -708,9 +712,9 @@ def _of_filter(correlations: Floats, rows: float) -> Floats:
 
 def _filter_of(
     campaign: Campaign, header: SensorHeader, fitted: FittedParameters, vibrations: Sequence[Sequence[Vibration]]
-) -> tuple[Bandwidth | None, float]:
-    """Return the chip's own filter, or None if the rows do not show one, and the standard deviation of the log of its
-    cutoff.
+) -> tuple[Bandwidth | None, float, Bandwidth | None]:
+    """Return the chip's own filter, or None if the rows do not show one; the standard deviation of the log of its
+    cutoff; and the same filter with the measured correlations, or None if they are not known.
 
     The filter is a least-squares fit to the correlations at lags 1 to 3. The candidates are filters of one and two
     poles with cutoffs within `CUTOFF_TOLERANCE` of the configured one, analogue and digital (behind a converter that
@@ -723,10 +727,10 @@ def _filter_of(
     configured_hz = noise_bandwidth_hz(header)
     measured = _correlations(campaign, header, fitted, vibrations) if configured_hz > 0 else None
     if measured is None:
-        return None, 0.0
+        return None, 0.0, None
     without_memory = measured.beyond(np.zeros_like(measured.values))
     if np.abs(without_memory).max() < LEAST_CORRELATION:
-        return None, 0.0
+        return None, 0.0, None
     reads, phases = measured.reads, len(measured.reads)
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
@@ -749,17 +753,17 @@ def _filter_of(
     if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
         as_configured = min(places, key=lambda at: (abs(filters[at].cutoff_hz - configured_hz), misfits[at]))
         is_better = has_margin and white - misfits[as_configured] > _BETTER / float(measured.rows.sum())
-        return (filters[as_configured], 0.0) if is_better else (None, 0.0)
+        return (filters[as_configured], 0.0, None) if is_better else (None, 0.0, None)
     nearest = min(places, key=misfits.__getitem__)
     best, least = filters[nearest], misfits[nearest]
     is_filter = least < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
+    correlations = _of_samples(measured, expected[nearest])
     if not is_filter or least > _MEASURED * measured.by_chance * phases:
-        correlations = _of_samples(measured, expected[nearest])
         is_short = white > _UNLIKELY * measured.by_chance * phases and _is_forgotten(correlations, measured.rows.sum())
         if correlations and (is_filter or is_short):
-            return replace(best, correlations=correlations), 0.0
+            return replace(best, correlations=correlations), 0.0, None
     if not is_filter:
-        return None, 0.0
+        return None, 0.0, None
     near = least + _MEDIAN_VARIANCE / float(measured.rows.sum())
     cutoffs_hz = [
         effect.cutoff_hz
@@ -767,7 +771,9 @@ def _filter_of(
         if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
     ]
     by_fit = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
-    return best, math.hypot(by_fit, _form_error(measured, best, dict(zip(filters, expected, strict=True))))
+    form_error = _form_error(measured, best, dict(zip(filters, expected, strict=True)))
+    of_samples = replace(best, correlations=correlations) if correlations else None
+    return best, math.hypot(by_fit, form_error), of_samples
 
 
 def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandwidth, Floats]) -> float:

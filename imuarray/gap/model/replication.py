@@ -450,7 +450,7 @@ class Stage:
         for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
             drawn = [effect for effect in base_effects if effect.name not in model.removed]
-            fitted = model.fitted.effects(self.base.cutoff_deviate(name, number))
+            fitted = model.fitted.effects(self.base.filter_draw(name, number))
             remaining = [*drawn, *(effect for effect in fitted if effect.name not in model.removed)]
             if depends_on_level and self.base.headers[name].quantity in INERTIAL:
                 if len(self.kinds) == 1:  # the fitted level is that of the only boot

@@ -67,6 +67,20 @@ _DISTINCT = 0.02
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 
 
+class FilterDraw(NamedTuple):
+    """The filter of a unit that is drawn: the deviation of the log of its cutoff from the fitted one, in standard
+    deviations, and whether its noise has the measured correlations, since no fitted filter has exactly the form of the
+    chip's.
+    """
+
+    deviate: float = 0.0
+    is_measured: bool = False
+
+
+FITTED_FILTER = FilterDraw()
+"""The filter as fitted."""
+
+
 @dataclass(frozen=True)
 class FittedParameters:
     """Parameters of one sensor in its unit along its own axes; noise, offset, slope and response are zero if it was
@@ -76,7 +90,8 @@ class FittedParameters:
     temperature. `response`: change of the reading of each axis (row) per unit of specific force along each axis
     (column), dimensionless for an accelerometer and in the sensor's unit per g for others, within the chip's tolerance;
     `raw_response`: the same without that bound. `is_slope_known`: whether temperatures differed enough. `low_pass`: the
-    chip's own low-pass filter (None: white noise); `low_pass_sd`: standard deviation of the log of its cutoff.
+    chip's own low-pass filter (None: white noise); `low_pass_sd`: standard deviation of the log of its cutoff;
+    `measured_low_pass`: the same filter with the measured correlations, if they are known.
     `clock_error`: relative error of the rate of the chip's data clock, nan if the rows do not determine it. `lag_s`:
     time constant, in s, with which the element follows the temperature of the box. `delay`: delay of the signal.
     """
@@ -89,17 +104,18 @@ class FittedParameters:
     is_slope_known: bool = False
     low_pass: Bandwidth | None = None
     low_pass_sd: float = 0.0
+    measured_low_pass: Bandwidth | None = None
     clock_error: float = math.nan
     lag_s: float = 0.0
     delay: SignalDelay = NO_DELAY
 
-    def effects(self, deviate: float = 0.0) -> tuple[Effect, ...]:
-        """Return the parameters as effects of the simulator; the log of the cutoff is changed by `deviate` standard
-        deviations.
-        """
+    def effects(self, draw: FilterDraw = FITTED_FILTER) -> tuple[Effect, ...]:
+        """Return the parameters as effects of the simulator, with the filter that was drawn."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
-        if self.low_pass is not None:
-            cutoff_hz = self.low_pass.cutoff_hz * math.exp(deviate * self.low_pass_sd)
+        if draw.is_measured and self.measured_low_pass is not None:
+            noise = (*noise, self.measured_low_pass)
+        elif self.low_pass is not None:
+            cutoff_hz = self.low_pass.cutoff_hz * math.exp(draw.deviate * self.low_pass_sd)
             noise = (*noise, replace(self.low_pass, cutoff_hz=cutoff_hz))
         if self.delay.filter_s:
             noise = (*noise, Bandwidth(two_pole_cutoff_hz(self.delay.filter_s), share=1.0, poles=2.0, signal_only=1.0))
