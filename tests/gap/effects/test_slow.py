@@ -270,6 +270,7 @@ def test_the_log_ratio_of_two_levels() -> None:
     assert two_levels(levels_of(np.repeat([-1.0, 1.0], 8), 0.01)) == pytest.approx(expected, rel=1e-6)
     assert two_levels(levels_of(np.repeat([-1.0, 1.0], 7), 0.01)) == 0.0  # too few
     assert two_levels(levels_of(np.repeat([-0.05, 0.05], 8), 0.01)) == 0.0  # no wander
+    assert two_levels(levels_of(np.repeat([-1.0, 1.0], 8), 0.0)) == 0.0  # no noise
 
 
 def test_a_telegraph_has_two_levels_and_a_wander_has_not() -> None:

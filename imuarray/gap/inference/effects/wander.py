@@ -372,8 +372,8 @@ def two_levels(table: Levels) -> float:
             error = float(table.square_error[at, axis].mean())
             apart = table.mean[at, axis] - table.mean[at, axis].mean()
             variance = float(apart.var())
-            if not variance > error * (1 + _WANDERS * math.sqrt(2 / len(at))):
-                continue
+            if error == 0 or not variance > error * (1 + _WANDERS * math.sqrt(2 / len(at))):
+                continue  # readings without noise have no likelihood
             correlation = float(apart[1:] @ apart[:-1]) / (len(at) * variance)
             nats += (1 - correlation**2) * (_log_ratio_of_two_levels(apart, variance, error) - _PARAMETER)
     return nats
