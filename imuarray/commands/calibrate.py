@@ -18,6 +18,7 @@ from imuarray.commands.options import (
     names_option,
     print_json,
     refuse_existing,
+    report_doubts,
 )
 from imuarray.json_values import json_value
 from imuarray.printable import printable
@@ -241,6 +242,8 @@ class CalibrationOutput:
             )
         with ExitStack() as stack:
             logs = [stack.enter_context(open_log(run)) for run in runs]
+            for log in logs:
+                report_doubts(log)
             require_distinct(logs)
             yield logs
 

@@ -22,6 +22,7 @@ from imuarray.commands.options import (
     print_json,
     progress,
     refuse_existing,
+    report_doubts,
     takes,
 )
 from imuarray.errors import ImuArrayError, MissingExtraError, OutputError, OutputExistsError
@@ -80,6 +81,7 @@ def command(options: CharacteriseOptions) -> None:
     if options.output and not options.force and (existing := sorted(options.output.glob("imu_*.yaml"))):
         raise OutputExistsError(existing[0])
     with open_log(options.run) as log:
+        report_doubts(log)
         result = _characterise(log, options)
     paths = [*_write(result, options.output), *_write_kalibr(result, options.output)] if options.output else []
     if options.as_json:

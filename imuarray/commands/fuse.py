@@ -124,6 +124,7 @@ def command(options: FuseOptions) -> None:
         calibration, names = inputs.calibration, list(inputs.only)
         report: dict[str, Any] = {
             "technique": options.technique,
+            "remarks": list(inputs.remarks),
             "uncalibrated": list(inputs.uncalibrated),
             "start_up": list(inputs.start_up),
             "thermal": list(inputs.thermal),

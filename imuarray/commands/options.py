@@ -180,6 +180,8 @@ _EVERY_S = 5.0
 """Time between two progress lines if no bar can be shown."""
 
 if TYPE_CHECKING:
+    from imuarray.log import Log
+
     _Seconds = click.ParamType[float]
 else:  # has a type parameter only since click 8.4
     _Seconds = click.ParamType
@@ -286,6 +288,12 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
             bar.update(min(done, length) - bar.pos)
 
         yield move
+
+
+def report_doubts(log: Log) -> None:
+    """Print on standard error that the import of a log raised doubts, which concern everything derived from it."""
+    if log.import_doubts:
+        click.echo(f"imuarray: {encodable(str(log.path))}: {log.import_doubts}", err=True)
 
 
 def terminal_columns() -> int:

@@ -32,6 +32,7 @@ from imuarray.fuse.element_temperature import (
 from imuarray.fuse.faults import FaultEvent, Ranges
 from imuarray.fuse.faults.monitor import MonitoredPipeline
 from imuarray.fuse.frames import Axis, Frames, FusedBlock, axes_of
+from imuarray.fuse.gravity_directions import contradictions
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
 from imuarray.fuse.pipeline import (
@@ -60,7 +61,8 @@ class FusionInputs:
 
     `uncalibrated`: sensors that are fused with data-sheet values. `start_up`: sentences on the states in which sensors
     started. `thermal`: sensors whose bias follows the log's temperature. `temperature`: sentences on sensors that were
-    calibrated at another temperature. `remarks`: sentences on missing parts of the calibration.
+    calibrated at another temperature. `remarks`: sentences on doubts of the log's import, on accelerometers that
+    contradict each other, and on missing parts of the calibration.
     """
 
     calibration: Calibration
@@ -101,7 +103,8 @@ def prepare_inputs(
     sloped = [sensor for sensor in sensors if slopes_of(calibration, sensor) is not None]
     warm = element_temperatures(log, sloped, calibration)
     cold = [sensor.name for sensor in sloped if sensor.name not in warm]
-    remarks = []
+    remarks = [f"{log.path}: {doubts}"] if (doubts := log.import_doubts) else []
+    remarks += contradictions(sensors, calibration)
     if cold:
         remarks.append(f"{log.path}: no thermometer for the slopes of {', '.join(cold)}; calibrated biases are used")
     lacking = [sensor.name for sensor in sensors if calibration.or_nominal(sensor).noise_lsb is None]

@@ -187,6 +187,14 @@ class Log:
         return ImportReport.from_json(plain_value(self._file.attrs.get(IMPORT_REPORT)))
 
     @property
+    def import_doubts(self) -> str:
+        """A sentence with the number of doubts that the import of this log raised; "" without doubts."""
+        report = self.import_report
+        if report is None or not report.doubts:
+            return ""
+        return f"its import raised {counted(len(report.doubts), 'doubt')}: `imuarray info {self.path}` lists them"
+
+    @property
     def frame_rate_hz(self) -> float:
         """The requested frames per second; 0 if the log does not state a valid number."""
         return positive(self._file.attrs.get("frame_rate_hz"))
@@ -559,6 +567,5 @@ def _remarks(log: Log) -> Iterator[str]:
         yield f"{counted(log.damaged_commits, 'commit')} of its HDF5 file damaged: those rows are read from its journal"
     if log.is_rebuilt:
         yield f"its HDF5 file is {'damaged' if log.path.exists() else 'missing'}: all rows are read from its journal"
-    report = log.import_report
-    if report is not None and report.doubts:
-        yield f"its import raised {counted(len(report.doubts), 'doubt')}: `imuarray info {log.path}` lists them"
+    if log.import_doubts:
+        yield log.import_doubts
