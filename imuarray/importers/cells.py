@@ -571,6 +571,8 @@ class TimeColumn:
         self._untied_ns: int | None = None
         self.last_ns = last_ns
         self.tied = self.wrapped = 0
+        self.tied_rows: npt.NDArray[np.bool_] = np.zeros(0, bool)
+        """Rows (n,) of the last block with the time of the row before."""
 
     def nanoseconds(self, column: CellColumn) -> npt.NDArray[np.int64]:
         """Return (n,) int64 ns; SourceError unless each is later than the previous one."""
@@ -639,6 +641,7 @@ class TimeColumn:
         first = np.maximum.accumulate(np.where(np.diff(times, prepend=before) == 0, -1 - self._tie_place, rows))
         place = rows - first
         self._tie_place, self._untied_ns = int(place[-1]), int(times[-1])
+        self.tied_rows = place > 0
         self.tied += int(np.count_nonzero(place))
         return np.asarray(times + place)
 

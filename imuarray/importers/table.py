@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -271,6 +271,12 @@ def _barometer_header(item: BarometerTable) -> SensorHeader:
     )
 
 
+def _is_copy(cells: Iterable[CellColumn], row: int) -> bool:
+    """Return whether a row has the same cells as the row before."""
+    columns = (cell.texts if cell.values is None else cell.values for cell in cells)
+    return all(column[row] == column[row - 1] for column in columns)
+
+
 def _missing(cells: Sequence[CellColumn]) -> Booleans:
     """Return (n,) rows in which at least one cell of a sensor has no value, or the text of a damaged line: a triad with
     two axes is not a reading.
@@ -393,6 +399,7 @@ class _Stream:
         self._phase_rows = ends
         self.time_of: dict[int, int] = {}
         self.count = self.padding = 0
+        self._ties_are_copies = True
         self.first_ns = self.last_ns = 0
         names = [item.name for item in plan.items if isinstance(item, LogColumn)]
         self.rows_of = dict.fromkeys(names, 0)
@@ -423,6 +430,9 @@ class _Stream:
         if not length:
             return
         time = self._times(cells, length)
+        if self._ties_are_copies:
+            ties = np.flatnonzero(self._clock.tied_rows[1:]) + 1 if self.plan.time_column is not None else ()
+            self._ties_are_copies = all(_is_copy(cells.values(), int(row)) for row in ties)
         if self.count == 0:
             self.first_ns = int(time[0])
         inside = range(self.count, self.count + length)
@@ -559,7 +569,8 @@ class _Stream:
         if self._order is not None and self._order.repeated:
             yield f"{counted(self._order.repeated, 'row')} that the file holds twice kept once"
         if self._clock.tied:
-            yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
+            copies = ", all with equal cells: the file may hold rows twice" if self._ties_are_copies else ""
+            yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later{copies}"
         if self._clock.set_back_ns:
             back = ", ".join(f"{ns * 1e-9:.6g} s" for ns in self._clock.set_back_ns[:3])
             more = ", ..." if len(self._clock.set_back_ns) > 3 else ""

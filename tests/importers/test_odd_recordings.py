@@ -337,7 +337,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(np.floor(walk().time_s * 50) / 50, counts_of(walk()), "{:d}")]),
         MAP.replace('unit = "s"', 'unit = "s"\nties = true', 1),
         0,
-        ["1000 rows with the time of the row before put 1 ns later"],
+        ["1000 rows with the time of the row before put 1 ns later ~"],
     ),
     "a counter that begins anew": (
         with_counter(1 << 32),
@@ -514,6 +514,15 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["~ Acc, Gyro: only even codes"],
     ),
+    "rows that were written twice, said so": (
+        joined([HEAD, *(line for row in plain()[1:] for line in (row, row))]),
+        MAP.replace('unit = "s"', 'unit = "s"\nties = true', 1),
+        0,
+        [
+            "2000 rows with the time of the row before put 1 ns later, all with equal cells: the file may hold rows"
+            " twice"
+        ],
+    ),
 }
 
 
@@ -527,6 +536,7 @@ QUICK = (
     "rows that are missing",
     "a gyroscope that stops",
     "exchanged signs",
+    "rows that were written twice, said so",
 )
 """Cases of the quick half."""
 
