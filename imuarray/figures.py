@@ -58,8 +58,9 @@ def time_series_figure(panels: Mapping[str, tuple[Reals, Reals]], title: str = "
             panel.plot(curve_s, curve, color=colour, linewidth=0.8, label=name)
         panel.set_ylabel(label, fontsize=9)
         panel.grid(linewidth=0.4, alpha=0.6)
-        if columns.shape[1] > 1:
-            panel.legend(frameon=False, fontsize=8, ncols=columns.shape[1], loc="upper right")
+        if columns.shape[1] > 1:  # above the panel, where it covers no curve
+            place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0}
+            panel.legend(frameon=False, fontsize=8, ncols=columns.shape[1], **place)
     axes[-1].set_xlabel("time (s)")
     if title:
         figure.suptitle(title.replace("$", r"\$"), fontsize=10.5, x=0.02, ha="left")

@@ -569,6 +569,26 @@ def test_a_progress_bar_fits_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) 
     assert max(map(len, shown)) <= 39
 
 
+@pytest.mark.parametrize("folder", [".", "..", "/"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("log", "one.toml", "--bus", "emulated:"),
+        ("fuse", "r.h5"),
+        ("report", "r.h5"),
+        ("export", "r.h5"),
+        ("simulate", "one.toml", "--experiment", "static"),
+        ("import", "r.h5", "--map", "one.toml"),
+        ("calibrate", "noise", "r.h5"),
+    ],
+)
+def test_a_folder_is_no_output(run: Run, here: Path, command: tuple[str, ...], folder: str) -> None:
+    """`Path.with_suffix` raises ValueError for "." and "/", which have no name."""
+    (here / "r.h5").touch()
+    code, _, (line,) = run(*command, "-o", folder)
+    assert (code, line) == (2, f"imuarray: {folder}: is a folder; the output must be a file")
+
+
 def test_the_name_of_a_log_needs_its_suffix(run: Run, here: Path) -> None:
     code, _, (line,) = run(*GOOD_LOG, "-o", "night")
     assert (code, line) == (2, "imuarray: night: a log is an HDF5 file; name it night.h5")

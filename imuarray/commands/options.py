@@ -217,7 +217,11 @@ class Duration(_Seconds):
 
 
 def refuse_other_suffix(path: Path, content: str) -> None:
-    """Raise click.UsageError if the name of a log or fused result (`content`) has the suffix of another format."""
+    """Raise click.UsageError if the name of a log or fused result (`content`) is that of a folder, or has the suffix of
+    another format.
+    """
+    if path.is_dir():
+        raise click.UsageError(f"{path}: is a folder; the output must be a file")
     if path.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{path}: {content} is an HDF5 file; name it {path.with_suffix('.h5').name}")
 

@@ -37,7 +37,7 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     from imuarray.report.page import require_page_package
 
     require_page_package()
-    if output.suffix.lower() not in (".html", ".htm"):
+    if not output.is_dir() and output.suffix.lower() not in (".html", ".htm"):
         name = output.with_suffix(".html").name if output.suffix else f"{output.name}.html"
         raise click.UsageError(f"{output}: a report is an HTML page; name it {name}")
     for path in (member for file in files for member in reportable_files(file)):
