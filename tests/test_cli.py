@@ -229,6 +229,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     ((*GOOD_LOG, "-o", "r.h5", "--rate-hz", "0"), "--rate-hz"),
     ((*GOOD_LOG, "-o", "r.h5", "--rate-hz", "nan"), "'nan' is not a number from 0.01 to 3200"),
     ((*GOOD_LOG, "-o", "r.h5", "--up", "up"), "--up"),
+    ((*GOOD_LOG, "-o", "r.h5", "--phase", "z_up", "--up=-Z"), "--up -Z: the phase z_up has +Z up"),
     ((*GOOD_LOG, "-o", "r.h5", "--only", "B"), "no sensor 'B'; it has A, M"),
     ((*GOOD_LOG, "-o", "none/r.h5"), "none/r.h5: the folder none does not exist"),
     ((*GOOD_LOG, "-o", "r.h5", "--transcript", "none/t.jsonl"), "none/t.jsonl"),

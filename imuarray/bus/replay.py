@@ -153,7 +153,10 @@ class ReplayBus:
         if not recorded:
             raise BusUrlError(f"{self.path}, line {self._at_line}: not a transaction of a transcript")
         if asked != recorded["words"]:
-            raise SensorError(f"{self.path}, line {self._at_line}: recorded {recorded['words']}, now {asked}")
+            raise SensorError(
+                f"{self.path}, line {self._at_line}: recorded {recorded['words']}, now {asked};"
+                " replay with the configuration and the options of the recording"
+            )
         self._go_on(recorded["end_ns"])
         return recorded
 

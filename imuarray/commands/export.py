@@ -99,7 +99,7 @@ def command(options: ExportOptions) -> None:
     rows, tables = sum(summary.rows.values()), counted(len(summary.rows), "table")
     click.echo(f"{options.output}: {rows} rows of {tables}, units: {summary.units}")
     if summary.uncalibrated:
-        click.echo(f"  not calibrated, data-sheet values used: {listed(summary.uncalibrated)}")
+        click.echo(f"  not calibrated, nominal values used: {listed(summary.uncalibrated)}")
     for note in summary.notes:
         click.echo(f"  {note}")
     for file in summary.files:

@@ -278,7 +278,7 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
     if "fused" in report:
         click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
     if report["uncalibrated"]:
-        click.echo(f"  not calibrated, data-sheet values used: {listed(report['uncalibrated'])}")
+        click.echo(f"  not calibrated, nominal values used: {listed(report['uncalibrated'])}")
     for sentence in report["start_up"]:
         click.echo(f"  {sentence}")
     if report["thermal"]:

@@ -209,6 +209,8 @@ class LogOptions:
         _check_phase(self.phase)
         if self.up and not self.phase:
             raise click.UsageError("--up needs --phase: it is the direction of the box in that phase")
+        if self.up and face_up(self.phase) not in ("", self.up):
+            raise click.UsageError(f"--up {self.up}: the phase {self.phase} has {face_up(self.phase)} up")
         refuse_existing(self.first, self.force)
         refuse_other_suffix(self.output, "a log")
         if self.transcript is not None and self.transcript.absolute() == self.first.absolute():

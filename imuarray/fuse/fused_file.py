@@ -140,7 +140,7 @@ def _open(path: Path) -> h5py.File:
     try:
         return h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except OSError:
-        raise LogError(f"{path}: was not closed and is damaged") from None
+        raise LogError(f"{path}: was not closed and is damaged; fuse its log again") from None
 
 
 def _check_columns(group: h5py.Group, where: str) -> dict[str, NamedColumn]:

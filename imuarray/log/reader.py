@@ -29,7 +29,7 @@ from imuarray.log.columns import TRACK_BYTES, ClockTrack, RowCache, Track, clock
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase, Preamble
 from imuarray.log.hdf5_writer import changed_parts
 from imuarray.log.import_report import IMPORT_REPORT, ImportReport
-from imuarray.log.inspection import inspect
+from imuarray.log.inspection import UnclosedFile, inspect, is_marked_open
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
 from imuarray.log.sensor_log import SensorLog
@@ -370,7 +370,12 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
         unfinished = open_interrupted(path, thorough=thorough, journal_fd=journal_fd)
         if unfinished is not None:
             return unfinished, []
-    file = open_file(path)
+    try:
+        file = open_file(path)
+    except LogError:
+        if _is_unclosed_result(path):
+            raise LogError(f"{path}: is a fused result, not a log") from None
+        raise
     try:
         if not is_unfinished(file):
             return file, inspect(path, file)
@@ -382,6 +387,17 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
     if unfinished is None:  # it was finished meanwhile
         raise LogError(f"{path}: changed while it was opened; open it again")
     return unfinished, []
+
+
+def _is_unclosed_result(path: Path) -> bool:
+    """Return whether a file is a fused result whose writer is running or was killed."""
+    try:
+        if not is_marked_open(path):
+            return False
+        with h5py.File(UnclosedFile(path, check_heaps=False), "r") as file:
+            return str(plain_value(file.attrs.get("format"))) == FUSED
+    except (*DAMAGE, LogError):
+        return False
 
 
 def open_log(path: str | PathLike[str]) -> Log:

@@ -136,7 +136,8 @@ def test_the_first_difference_is_refused_with_its_line(
         assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
         with pytest.raises(SensorError) as refused:
             bus.transfer(address, write, read)
-    assert str(refused.value) == f"{path}, line 2: {message}"
+    hint = "replay with the configuration and the options of the recording"
+    assert str(refused.value) == f"{path}, line 2: {message}; {hint}"
 
 
 def test_another_bus_is_a_difference(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from imuarray.errors import LogError
 from imuarray.export import export
 from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, read_fused_head, write_fused
 from imuarray.fuse.fused_file import LiveFused
+from imuarray.log import open_log
 from imuarray.report.files import file_kind
 from imuarray.report.fused_page import fused_sections
 from imuarray.report.page import Table
@@ -181,6 +182,8 @@ def test_an_unfinished_result_can_be_read(tmp_path: Path) -> None:
     assert [len(part.time) for part in read_fused(cut_file, block=30)] == [30, 20]
     assert sum(export(cut_file, tmp_path / "f.csv").rows.values()) == FRAMES
     assert file_kind(cut_file) == "fused result"
+    with pytest.raises(LogError, match=r"cut\.h5: is a fused result, not a log$"):
+        open_log(cut_file)
 
 
 EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9.0)
