@@ -173,8 +173,11 @@ def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> di
     size = -(-len(time_s) // DRAWN)
     if size > 2:
         whole = len(time_s) // size * size  # without a few of the oldest rows
-        pieces = np.nan_to_num(values[-whole:]).reshape(-1, size, values.shape[1])
-        ends = np.sort(np.stack([pieces.argmin(axis=1), pieces.argmax(axis=1)], axis=1), axis=1)
+        pieces = values[-whole:].reshape(-1, size, values.shape[1])
+        missing = np.isnan(pieces)  # frames without a value; a piece of these is a gap in the curve
+        lowest = np.where(missing, np.inf, pieces).argmin(axis=1)
+        highest = np.where(missing, -np.inf, pieces).argmax(axis=1)
+        ends = np.sort(np.stack([lowest, highest], axis=1), axis=1)
         rows = np.take_along_axis(pieces, ends, axis=1).reshape(-1, values.shape[1])
         time_s = np.repeat(time_s[-whole::size], 2) + np.tile([0.0, 0.5], len(pieces)) * size * np.median(
             np.diff(time_s)

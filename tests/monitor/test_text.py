@@ -171,6 +171,21 @@ def test_a_dead_sensor_is_silent_in_json(died: Path, capsys: pytest.CaptureFixtu
     assert (turned["mean"], turned["sd"], turned["use_percent"]) == ([None] * 3, [None] * 3, None)
 
 
+def test_frames_without_a_value_are_gaps_of_a_curve_and_not_zeros(ended: Path) -> None:
+    """The fused rate ends before the fused force if a gyroscope's rows are held back longer."""
+    with LogMonitor(ended) as watch:
+        snapshot = watch.refresh(0.0)
+    rows = 500
+    values = np.full((rows, 3), 3.5)
+    values[-20:] = np.nan
+    values[100::4, 0] = np.nan  # gaps inside of pieces keep the extremes of the others
+    view = dataclasses.replace(snapshot.sensors[0], time=np.arange(rows) * 10_000_000, values=values)
+    trace = drawn(dataclasses.replace(snapshot, sensors=(view,)))["sensors"][0]["trace"]
+    for name in view.columns:
+        assert trace[name][-8:] == [None] * 8
+        assert set(trace[name][:-10]) == {3.5}
+
+
 def test_curves_of_a_dead_sensor_are_empty(died: Path) -> None:
     with LogMonitor(died) as watch:
         (turned,) = (view for view in drawn(watch.refresh(0.0))["sensors"] if view["name"] == "Turned")
