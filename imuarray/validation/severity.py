@@ -87,7 +87,8 @@ class SeverityFit:
 def find_severity(statistic: Callable[[float], float], wanted: float, first: float) -> SeverityFit:
     """Search the severity of `wanted` limits in a case. `statistic` returns the matched statistic of a severity; the
     search starts at `first` and follows a power law for at most `PROBES` recordings. If no recording comes within a
-    factor of two of the wanted size, `limits` is nan and the severity is the largest one tried.
+    factor of two of the wanted size, `limits` is nan, and the severity is the smallest one tried that exceeds the
+    wanted size, or the largest one tried. An effect that is much larger damages the sensor in other ways.
     """
     trials: list[tuple[float, float]] = []
     severity = first
@@ -101,7 +102,10 @@ def find_severity(statistic: Callable[[float], float], wanted: float, first: flo
             break
     severity, reached = min(trials, key=lambda trial: abs(np.log(max(trial[1], 1e-3) / wanted)))
     is_near = 0.5 < reached / wanted < 2.0
-    return SeverityFit(severity, reached) if is_near else SeverityFit(max(trial for trial, _ in trials), nan)
+    if is_near:
+        return SeverityFit(severity, reached)
+    above = [trial for trial, size in trials if size > wanted]
+    return SeverityFit(min(above) if above else max(trial for trial, _ in trials), nan)
 
 
 def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> float:

@@ -261,6 +261,15 @@ def test_an_unobservable_mechanism_has_no_limit() -> None:
     assert LIMIT == 4.0
 
 
+def test_a_mechanism_without_a_size_near_the_wanted_one_is_as_small_as_possible() -> None:
+    """A converter that clips above a severity of 3 is tried at 1 (nothing), 10 (100 limits), 0.5 = 10 * 5 / 100, and at
+    ten times the latter.
+    """
+    score = find_severity(lambda size: 400.0 if size > 3 else 0.01, 5.0, 1.0)
+    assert math.isnan(score.limits)
+    assert score.severity == 5.0
+
+
 @pytest.mark.slow
 def test_an_error_of_the_generator_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"the generator of cases: .*nobody"):
