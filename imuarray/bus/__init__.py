@@ -31,6 +31,8 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
     ...     bus.transfer(0x53, b"\\x00", 1).hex()  # register 0 of an ADXL345
     'e5'
     """
+    if not hasattr(array, "sensors"):
+        raise BusUrlError(f"array: {array!r} given; allowed is an ArrayConfig, as load_array returns")
     scheme, colon, rest = url.partition(":")
     if not colon or scheme not in _SCHEMES:
         device = next((name for prefix, name in _DEVICES.items() if url.startswith(prefix)), "")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imuarray.arrays import Floats, Reals, Times
-from imuarray.errors import MissingExtraError
+from imuarray.errors import CalibrationError, MissingExtraError
 from imuarray.figures import time_series_figure
 from imuarray.log.format import FLAGS, SYNC_PULSE, TIME_UNCERTAINTY, TRACK_UNITS
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -129,8 +129,11 @@ def times_of(time: Times, epoch: str) -> Any:
 def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -> Floats | None:
     """Return (n, 3) SI values in the box frame of all rows of a triad; None if the log states no sensitivity. The bias
     of a calibration is subtracted without temperature compensation. CalibrationError if the calibration does not fit
-    the sensor.
+    the sensor, or is none.
     """
+    if calibration is not None and not hasattr(calibration, "or_nominal"):
+        kind = type(calibration).__name__
+        raise CalibrationError(f"{kind} given as a calibration; allowed is a Calibration, as load_calibration returns")
     counts = np.asarray(sensor.counts[:], float)
     if calibration is not None:
         return calibration.or_nominal(sensor).stimulus_box(counts)

@@ -190,8 +190,8 @@ def _noise(log: Log, result: Mapping[str, Any], *, with_figures: bool) -> Sectio
     parts.append(_noise_table(result))
     if seconds < _ALLAN_S:
         words += (
-            f" No Allan deviation: too short: {seconds:.0f} s, at least {_ALLAN_S:.0f} s are needed. One minute at rest"
-            " shows white noise, hours show drift."
+            f" The Allan deviation is not drawn: {seconds:.0f} s are too short, at least {_ALLAN_S:.0f} s are needed."
+            " One minute at rest shows white noise, hours show drift."
         )
     elif with_figures:
         caption = (

@@ -121,3 +121,10 @@ def test_i2c_without_a_path_takes_the_path_of_a_sensor() -> None:
         assert isinstance(bus, LinuxBus)
         assert bus.path == "/dev/i2c-11"
         assert bus.channel_bus("/dev/i2c-11") is bus
+
+
+def test_the_name_of_an_array_is_no_array() -> None:
+    with pytest.raises(
+        BusUrlError, match="array: 'martin2013' given; allowed is an ArrayConfig, as load_array returns"
+    ):
+        open_bus("emulated:", "martin2013")  # type: ignore[arg-type]

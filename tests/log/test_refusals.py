@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from h5py._hl.base import phil
 
-from imuarray.errors import LogError
+from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, open_log
 from imuarray.log.inspection import HeapCheckedFile
 from imuarray.log.reader import verify
@@ -397,3 +397,14 @@ def test_a_single_name_is_one_sensor_to_plot(small: Path) -> None:
     pytest.importorskip("matplotlib")
     with open_log(small) as log:
         assert len(log.plot("Acc").axes) == len(log.plot(["Acc"]).axes) == 1
+
+
+def test_the_path_of_a_calibration_is_no_calibration(small: Path) -> None:
+    pytest.importorskip("matplotlib")
+    with (
+        open_log(small) as log,
+        pytest.raises(
+            CalibrationError, match="str given as a calibration; allowed is a Calibration, as load_calibration"
+        ),
+    ):
+        log.plot("Acc", "cal.toml")  # type: ignore[arg-type]

@@ -148,7 +148,10 @@ def test_tables_are_shown_without_scrolling(tmp_path: Path) -> None:
 def test_a_recording_too_short_for_an_allan_curve_has_a_sentence(run: Path, tmp_path: Path) -> None:
     """Ten seconds less a pause of one; half a second is cut off at either end of a rest."""
     write_report([run], tmp_path / "page.html")
-    assert "No Allan deviation: too short: 8 s, at least 30 s are needed." in (tmp_path / "page.html").read_text()
+    assert (
+        "The Allan deviation is not drawn: 8 s are too short, at least 30 s are needed."
+        in (tmp_path / "page.html").read_text()
+    )
 
 
 def test_names_are_escaped_in_drawings_and_data(tmp_path: Path) -> None:
