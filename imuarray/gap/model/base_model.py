@@ -30,6 +30,8 @@ from imuarray.gap.model.element_temperature import (
 )
 from imuarray.gap.model.gravity import NO_CHANGE, Forces, estimated_forces, residual_forces
 from imuarray.gap.model.populations import (
+    BOARD_LAGS_S,
+    BOARD_STRESS_SIGMA,
     CLOCK_SIGMA,
     CUTOFF_TOLERANCE,
     FLICKER_FLOOR,
@@ -71,7 +73,7 @@ from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, has_
 from imuarray.simulate.effects.bias import Bias, BiasInstability
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.response import SizeEffect, with_position
-from imuarray.simulate.effects.temperature import ThermalBias
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.stimulus import Motion
@@ -283,11 +285,19 @@ class Base:
             yield Bias((x, y, z))
 
     def _thermal_curve(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield a random quadratic term of the bias over temperature, about 25 degC, if its slope is fitted."""
+        """Yield, if its slope is fitted, a random quadratic term of the bias over temperature, about 25 degC, and the
+        bias by a part of the board that warms up later and stresses the chip.
+        """
         if self.fitted[header.name].is_slope_known:
+            slope = np.array(self.fitted[header.name].slope)
             growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
-            x, y, z = (growth * np.array(self.fitted[header.name].slope)).tolist()
+            x, y, z = (growth * slope).tolist()
             yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
+            stream = units.of_unit(header.name, ThermalLag.name, "board")
+            shares, (shortest_s, longest_s) = BOARD_STRESS_SIGMA * stream.standard_normal(3), BOARD_LAGS_S
+            x, y, z = (shares * slope).tolist()
+            lag_s = shortest_s * (longest_s / shortest_s) ** float(stream.uniform())
+            yield ThermalLag(lag_s, (x, y, z), REFERENCE_DEGC)
 
     def _flicker(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
         """Yield usual flicker of a random size for a sensor that is `flickering`."""

@@ -22,6 +22,7 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import BiasInstability, TurnOnBias
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import SizeEffect
+from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.model import TRIADS, Model, Part, load_model, noise_bandwidth_hz
 from imuarray.simulate.population import Figure, Recipe, Spread
 from imuarray.simulate.signal import Triple
@@ -66,9 +67,15 @@ SCALE_SLOPE_SIGMA = 1e-4
 BMA-116).
 """
 
-THERMAL_GROWTH_SIGMA = 0.0015
+THERMAL_GROWTH_SIGMA = 0.005
 """Standard deviation of the quadratic coefficient of a bias over temperature, as a share of its slope per degC. Data
-sheets print only a typical slope; over 20 degC that of a part changes by some percent, so its bias follows a curve.
+sheets print only a typical slope; over 20 degC that of a part changes by some ten percent, so its bias follows a curve.
+"""
+
+BOARD_STRESS_SIGMA, BOARD_LAGS_S = 0.08, (20.0, 200.0)
+"""Standard deviation of the change of the bias with the temperature of a part of the board that warms up later than the
+chip, as a share of the slope of the bias; and the shortest and the longest time constant of that part, in s. A board
+that is not uniformly warm stresses the package: a bias over temperature is a loop, which no data sheet prints.
 """
 
 CLOCK_SIGMA = 0.02
@@ -185,9 +192,12 @@ def response_tolerance(header: SensorHeader, accelerometers: int = 1) -> Floats:
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
-    """Return whether an effect is a nuisance quantity that is usual for the sensor: flicker or a turn-on bias of at
-    most the usual size.
+    """Return whether an effect is a nuisance quantity that is usual for the sensor: flicker, a turn-on bias or the
+    stress of a board of at most the usual size.
     """
+    if isinstance(effect, ThermalLag):
+        largest_stress = (TOLERANCE_SIGMAS + 1) * BOARD_STRESS_SIGMA * np.array(slope_tolerance(header))
+        return any(effect.slope) and bool((np.abs(effect.slope) <= largest_stress).all())
     if isinstance(effect, BiasInstability):
         largest = usual_flicker((FLICKER_FLOOR.get(header.unit, 0.0),) * 3)
         return replace(effect, rms=largest.rms) == largest and max(effect.rms) <= max(largest.rms)
