@@ -67,9 +67,9 @@ SCALE_SLOPE_SIGMA = 1e-4
 BMA-116).
 """
 
-THERMAL_GROWTH_SIGMA = 0.005
+THERMAL_GROWTH_SIGMA = 0.0015
 """Standard deviation of the quadratic coefficient of a bias over temperature, as a share of its slope per degC. Data
-sheets print only a typical slope; over 20 degC that of a part changes by some ten percent, so its bias follows a curve.
+sheets print only a typical slope; over 20 degC that of a part changes by some percent, so its bias follows a curve.
 """
 
 BOARD_STRESS_SIGMA, BOARD_LAGS_S = 0.08, (20.0, 200.0)
