@@ -33,10 +33,10 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.effects.motion import rotation_columns
-from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.populations import (
     ANGLE_SIGMA_DEG,
     CUTOFF_TOLERANCE,
+    LONGEST_LAG_S,
     POSITION_SIGMA_MM,
     TOLERANCE_SIGMAS,
     response_tolerance,

@@ -169,7 +169,14 @@ def test_a_model_keeps_all_except_fitted_effects() -> None:
     base = fit(campaign, PLANS["static"], model=parse_model(MODEL))
     effects = base.effects(0)
     fitted = ["white_noise", "bias", "thermal_bias"]
-    assert [effect.name for effect in effects["A1"]] == ["own_clock", "size_effect", "scale", "random_walk", *fitted]
+    assert [effect.name for effect in effects["A1"]] == [
+        "own_clock",
+        "size_effect",
+        "scale",
+        "random_walk",
+        "thermal_lag",
+        *fitted,
+    ]
     assert effects["A1"][4:] == fit(campaign, PLANS["static"]).effects(0)["A1"][-3:]
     assert [effect.name for effect in effects["G1"]] == ["own_clock", "bias_instability", *fitted]
 
@@ -256,6 +263,20 @@ def test_the_curvature_of_a_bias_over_temperature_is_drawn() -> None:
         if isinstance(effect, ThermalBias)
     ]
     assert np.std(np.array(curves) / warm.fitted["G1"].slope) == pytest.approx(0.0015, rel=0.12)
+
+
+def test_the_lag_of_an_element_that_no_heating_determines_is_drawn() -> None:
+    """From 0 to 20 s, evenly: the mean of 200 draws is 10 s within three standard errors."""
+    base = fitted_to("static")
+    lags_s = [
+        effect.time_constant_s
+        for number in range(200)
+        for effect in base.drawn(number)["A1"]
+        if isinstance(effect, ThermalLag)
+    ]
+    assert len(lags_s) == 200
+    assert 0.0 <= min(lags_s) <= max(lags_s) <= 20.0
+    assert np.mean(lags_s) == pytest.approx(10.0, abs=3 * 20 / math.sqrt(12 * 200))
 
 
 @pytest.mark.slow

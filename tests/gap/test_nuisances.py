@@ -15,9 +15,9 @@ from imuarray.arrays import Integers
 from imuarray.characterise.spectrum import Welch
 from imuarray.gap.model.ambient_lines import MOST_G, _picked_up, _Spectrum, fit_ambient_lines
 from imuarray.gap.model.base_model import fit
-from imuarray.gap.model.element_temperature import LONGEST_DIE_LAG_S, LONGEST_LAG_S
+from imuarray.gap.model.element_temperature import LONGEST_DIE_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
-from imuarray.gap.model.populations import response_tolerance
+from imuarray.gap.model.populations import LONGEST_LAG_S, response_tolerance
 from imuarray.gap.model.signal_delay import (
     NO_DELAY,
     SignalDelay,

@@ -36,6 +36,7 @@ from imuarray.gap.model.populations import (
     CUTOFF_TOLERANCE,
     FLICKER_FLOOR,
     LEAST_CORRELATION,
+    LONGEST_LAG_S,
     POSITION_SIGMA_MM,
     THERMAL_GROWTH_SIGMA,
     TOLERANCE_SIGMAS,
@@ -258,7 +259,7 @@ class Base:
         effects = (
             *effects,
             *self._tones(header, units),
-            *self._thermal_curve(header, units),
+            *self._thermal_curve(header, units, has_lag=any(isinstance(effect, ThermalLag) for effect in effects)),
             *self._flicker(header, units),
         )
         is_odd = bool(replicate % 2)
@@ -284,20 +285,24 @@ class Base:
             x, y, z = bias.tolist()
             yield Bias((x, y, z))
 
-    def _thermal_curve(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
+    def _thermal_curve(self, header: SensorHeader, units: Streams, *, has_lag: bool) -> Iterator[Effect]:
         """Yield, if its slope is fitted, a random quadratic term of the bias over temperature, about 25 degC, and the
-        bias by a part of the board that warms up later and stresses the chip.
+        bias by a part of the board that warms up later and stresses the chip; otherwise a random lag of the element,
+        which is not determined either, unless the model states one (`has_lag`).
         """
-        if self.fitted[header.name].is_slope_known:
-            slope = np.array(self.fitted[header.name].slope)
-            growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
-            x, y, z = (growth * slope).tolist()
-            yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
-            stream = units.of_unit(header.name, ThermalLag.name, "board")
-            shares, (shortest_s, longest_s) = BOARD_STRESS_SIGMA * stream.standard_normal(3), BOARD_LAGS_S
-            x, y, z = (shares * slope).tolist()
-            lag_s = shortest_s * (longest_s / shortest_s) ** float(stream.uniform())
-            yield ThermalLag(lag_s, (x, y, z), REFERENCE_DEGC)
+        if not self.fitted[header.name].is_slope_known:
+            stream = units.of_unit(header.name, ThermalLag.name, "element")
+            yield from () if has_lag else (ThermalLag(float(stream.uniform(0.0, LONGEST_LAG_S))),)
+            return
+        slope = np.array(self.fitted[header.name].slope)
+        growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
+        x, y, z = (growth * slope).tolist()
+        yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
+        stream = units.of_unit(header.name, ThermalLag.name, "board")
+        shares, (shortest_s, longest_s) = BOARD_STRESS_SIGMA * stream.standard_normal(3), BOARD_LAGS_S
+        x, y, z = (shares * slope).tolist()
+        lag_s = shortest_s * (longest_s / shortest_s) ** float(stream.uniform())
+        yield ThermalLag(lag_s, (x, y, z), REFERENCE_DEGC)
 
     def _flicker(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
         """Yield usual flicker of a random size for a sensor that is `flickering`."""

@@ -15,16 +15,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.model.populations import LONGEST_LAG_S
 from imuarray.gap.recording.recordings import CHIP_LEAD_S
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.segments import Segments
 from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.motion.stimulus import Motion, thermometer_lag_s
-
-LONGEST_LAG_S = 20.0
-"""Longest usual time constant, in s, of a chip in a box if no chip thermometer shows a longer one; a longer lag is an
-effect.
-"""
 
 LONGEST_DIE_LAG_S, _BEYOND_DIE = 50.0, 1.25
 """Longest usual time constant, in s, that a die's thermometer can justify: some tens of seconds for a small board in

@@ -78,6 +78,11 @@ chip, as a share of the slope of the bias; and the shortest and the longest time
 that is not uniformly warm stresses the package: a bias over temperature is a loop, which no data sheet prints.
 """
 
+LONGEST_LAG_S = 20.0
+"""Longest usual time constant, in s, of a chip in a box if no chip thermometer shows a longer one; a longer lag is an
+effect.
+"""
+
 CLOCK_SIGMA = 0.02
 """Standard deviation of the relative error of a chip's data clock if no tolerance is printed: RC oscillators are
 accurate to a few percent.
@@ -192,12 +197,13 @@ def response_tolerance(header: SensorHeader, accelerometers: int = 1) -> Floats:
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
-    """Return whether an effect is a nuisance quantity that is usual for the sensor: flicker, a turn-on bias or the
-    stress of a board of at most the usual size.
+    """Return whether an effect is a nuisance quantity that is usual for the sensor: flicker, a turn-on bias, a lag of
+    the element or the stress of a board of at most the usual size.
     """
     if isinstance(effect, ThermalLag):
         largest_stress = (TOLERANCE_SIGMAS + 1) * BOARD_STRESS_SIGMA * np.array(slope_tolerance(header))
-        return any(effect.slope) and bool((np.abs(effect.slope) <= largest_stress).all())
+        is_short = any(effect.slope) or effect.time_constant_s <= LONGEST_LAG_S
+        return is_short and bool((np.abs(effect.slope) <= largest_stress).all())
     if isinstance(effect, BiasInstability):
         largest = usual_flicker((FLICKER_FLOOR.get(header.unit, 0.0),) * 3)
         return replace(effect, rms=largest.rms) == largest and max(effect.rms) <= max(largest.rms)
