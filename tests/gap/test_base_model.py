@@ -169,14 +169,7 @@ def test_a_model_keeps_all_except_fitted_effects() -> None:
     base = fit(campaign, PLANS["static"], model=parse_model(MODEL))
     effects = base.effects(0)
     fitted = ["white_noise", "bias", "thermal_bias"]
-    assert [effect.name for effect in effects["A1"]] == [
-        "own_clock",
-        "size_effect",
-        "scale",
-        "random_walk",
-        "thermal_lag",
-        *fitted,
-    ]
+    assert [effect.name for effect in effects["A1"]] == ["own_clock", "size_effect", "scale", "random_walk", *fitted]
     assert effects["A1"][4:] == fit(campaign, PLANS["static"]).effects(0)["A1"][-3:]
     assert [effect.name for effect in effects["G1"]] == ["own_clock", "bias_instability", *fitted]
 

@@ -259,7 +259,7 @@ class Base:
         effects = (
             *effects,
             *self._tones(header, units),
-            *self._thermal_curve(header, units, has_lag=any(isinstance(effect, ThermalLag) for effect in effects)),
+            *self._thermal_curve(header, units, {type(effect) for effect in effects}),
             *self._flicker(header, units),
         )
         is_odd = bool(replicate % 2)
@@ -285,14 +285,16 @@ class Base:
             x, y, z = bias.tolist()
             yield Bias((x, y, z))
 
-    def _thermal_curve(self, header: SensorHeader, units: Streams, *, has_lag: bool) -> Iterator[Effect]:
+    def _thermal_curve(self, header: SensorHeader, units: Streams, kinds: Collection[type[Effect]]) -> Iterator[Effect]:
         """Yield, if its slope is fitted, a random quadratic term of the bias over temperature, about 25 degC, and the
-        bias by a part of the board that warms up later and stresses the chip; otherwise a random lag of the element,
-        which is not determined either, unless the model states one (`has_lag`).
+        bias by a part of the board that warms up later and stresses the chip; otherwise, for a sensor with a bias over
+        temperature and no lag among the `kinds` of its effects, a random lag of the element, which is not determined
+        either.
         """
         if not self.fitted[header.name].is_slope_known:
             stream = units.of_unit(header.name, ThermalLag.name, "element")
-            yield from () if has_lag else (ThermalLag(float(stream.uniform(0.0, LONGEST_LAG_S))),)
+            if ThermalBias in kinds and ThermalLag not in kinds:
+                yield ThermalLag(float(stream.uniform(0.0, LONGEST_LAG_S)))
             return
         slope = np.array(self.fitted[header.name].slope)
         growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
