@@ -259,7 +259,7 @@ class Base:
         effects = (
             *effects,
             *self._tones(header, units),
-            *self._thermal_curve(header, units, {type(effect) for effect in effects}),
+            *self._thermal_effects(header, units, {type(effect) for effect in effects}),
             *self._flicker(header, units),
         )
         is_odd = bool(replicate % 2)
@@ -285,7 +285,9 @@ class Base:
             x, y, z = bias.tolist()
             yield Bias((x, y, z))
 
-    def _thermal_curve(self, header: SensorHeader, units: Streams, kinds: Collection[type[Effect]]) -> Iterator[Effect]:
+    def _thermal_effects(
+        self, header: SensorHeader, units: Streams, kinds: Collection[type[Effect]]
+    ) -> Iterator[Effect]:
         """Yield, if its slope is fitted, a random quadratic term of the bias over temperature, about 25 degC, and the
         bias by a part of the board that warms up later and stresses the chip; otherwise, for a sensor with a bias over
         temperature and no lag among the `kinds` of its effects, a random lag of the element, which is not determined
