@@ -237,6 +237,12 @@ def test_a_figure_of_an_unmeasured_group_is_refused(folder: Path) -> None:
         known.plot("therml")
 
 
+def test_a_diagnosis_with_too_few_replicates_is_refused() -> None:
+    """With b replicates p is at least 1 / (1 + b), and a gap needs 1 / 20."""
+    with pytest.raises(ConfigError, match="replicates: 18 given; at least 19 are needed"):
+        ia.diagnose("rest.h5", replicates=18)
+
+
 @pytest.mark.slow
 def test_one_log_is_diagnosed_without_a_list(folder: Path, tmp_path: Path) -> None:
     diagnosis = ia.diagnose(folder / "rest.h5", model="martin2013", only=["Gyro1"], replicates=40)

@@ -59,7 +59,7 @@ from imuarray.gap.findings.verdict import (
     unknown_probability,
     with_limits,
 )
-from imuarray.gap.inference.assessment import Assessment, assess, largest_of
+from imuarray.gap.inference.assessment import FEWEST_REPLICATES, Assessment, assess, largest_of
 from imuarray.gap.inference.comparison import (
     ENOUGH,
     Comparison,
@@ -211,11 +211,11 @@ def diagnose(  # noqa: PLR0913
 
     `seed` keys every draw: the same logs and seed give the same diagnosis, whatever the number of `workers`, which are
     processes (a program that uses several needs the usual ``if __name__ == "__main__":``). `replicates` of the base
-    model distinguish a gap from chance; at least 40 are needed. `progress` is called with the name of each stage; `bar`
+    model distinguish a gap from chance; at least 19 are needed. `progress` is called with the name of each stage; `bar`
     makes the function that is called with the number of completed jobs.
 
     Raises LogError for a log that cannot be read, in which nothing can be compared, or that is of another array;
-    ConfigError for an effect or a model that is not known.
+    ConfigError for an effect or a model that is not known, or for too few replicates.
 
     >>> diagnosis = diagnose(["run.h5"], only=["Gyro1"], replicates=40)
     >>> diagnosis.verdict in ("no gap", "explained", "partly explained", "unexplained")
@@ -223,6 +223,8 @@ def diagnose(  # noqa: PLR0913
     >>> [recording.name for recording in diagnosis.recorded]
     ['run.h5']
     """
+    if replicates < FEWEST_REPLICATES:
+        raise ConfigError(f"replicates: {replicates} given; at least {FEWEST_REPLICATES} are needed")
     candidates = library(as_names(without))
     only = as_names(only)
     chosen = model if model is None or isinstance(model, Model) else load_model(find_model(Path(model)))

@@ -89,6 +89,9 @@ def largest_of(scores: Floats) -> Floats:
 LEVEL = 0.05
 """Share of campaigns without a gap in which a gap is detected."""
 
+FEWEST_REPLICATES = math.ceil(1 / LEVEL) - 1
+"""Least number of replicates with which a p-value of `LEVEL` is possible (`p_value`)."""
+
 LEVELS = ("array", "chip", "sensor", "axis", "domain", "statistic")
 """The levels of the tree, from its root."""
 
