@@ -20,7 +20,7 @@ from numpy.lib.format import write_array_header_1_0
 
 from imuarray.acquire import RecordingCounts
 from imuarray.cli import COMMANDS, main
-from imuarray.commands.log import Interruptible
+from imuarray.commands.log import Interruptible, print_summary
 from imuarray.commands.log_display import LogScreen
 from imuarray.commands.options import progress
 from imuarray.log import open_log
@@ -476,6 +476,17 @@ def test_a_closed_terminal_does_not_end_a_log(monkeypatch: pytest.MonkeyPatch) -
         "r.h5: 50 frames, 1 s, 0 readings lost",
         "",
     ]
+
+
+@pytest.mark.parametrize(
+    ("silent", "end"), [(["A", "B"], ", 0 late, incomplete: no sensor answered at its end"), (["A"], ", 0 late")]
+)
+def test_the_summary_of_a_recording_whose_link_was_lost_says_that_it_is_incomplete(
+    silent: list[str], end: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counts = RecordingCounts(frames=600, seconds=6.0, lost={"A": 0, "B": 0}, silent=silent, logs=[Path("r.h5")])
+    print_summary(counts, Path("r.h5"), [], None, as_json=False)
+    assert capsys.readouterr().out == f"r.h5: 600 frames in 6.0 s (100.0 Hz){end}\n"
 
 
 @pytest.mark.slow

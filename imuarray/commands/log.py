@@ -89,7 +89,10 @@ def print_summary(
         return
     rate = summary.frames / summary.seconds if summary.seconds else 0.0
     files_text = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
-    click.echo(f"{files_text}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    is_cut = bool(summary.silent) and set(summary.silent) >= set(summary.lost)
+    incomplete = ", incomplete: no sensor answered at its end" if is_cut else ""
+    frames_text = f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz)"
+    click.echo(f"{files_text}: {frames_text}, {summary.late} late{incomplete}")
     if fusion:
         files = fusion.paths or [fusion.path]
         named = files[0] if len(files) == 1 else f"{files[0]} ... {files[-1].name}"
