@@ -455,6 +455,8 @@ class _FusedColumns:
         self._epoch = origin["epoch"]
         self._live = not compressed
         self._writers: dict[str, ColumnWriter] = {}
+        if self._live:
+            file.flush()  # a file without frames is recognised if its writer is killed
 
     def append(self, block: FusedBlock) -> None:
         """Append more rows of every column. OSError."""

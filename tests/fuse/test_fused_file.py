@@ -186,6 +186,14 @@ def test_an_unfinished_result_can_be_read(tmp_path: Path) -> None:
         open_log(cut_file)
 
 
+def test_a_result_whose_writer_was_killed_before_its_first_frame_is_no_log(tmp_path: Path) -> None:
+    path = tmp_path / "killed.h5"
+    with LiveFused(tmp_path / "live.h5", epoch=EPOCH, technique="mean", log="run.h5"):
+        path.write_bytes((tmp_path / "live.h5").read_bytes())
+    with pytest.raises(LogError, match=r"killed\.h5: is a fused result, not a log$"):
+        open_log(path)
+
+
 EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9.0)
 
 
