@@ -61,10 +61,14 @@ from imuarray.log.format import (
 )
 from imuarray.log.sensor_log import first_at
 from imuarray.printable import counted, listed
+from imuarray.toml_files import read_text
 from imuarray.units import SI_PER_UNIT, UNITS_OF
 
 VANISHED = 0.3
 """Difference of neighbouring values (rms, in counts) below which the noise of a column is lost by rounding."""
+
+_GUESSED_RATE = re.compile(r"^\s*rate_hz\s*=[^#\n]*#\s*\?", re.MULTILINE)
+"""Pattern of a rate that `imuarray import --guess` marked as doubtful."""
 
 
 def import_table(
@@ -105,6 +109,11 @@ def import_table(
                 stream.add(block, places)
         recording.finish(str(source), str(map_path), up)
         remarks = [*rows.remarks, *recording.remarks(learnt)]
+        if table_map.clock.rate_hz is not None and _GUESSED_RATE.search(read_text(map_path)):
+            remarks.append(
+                f"the rate of {table_map.clock.rate_hz:g} rows a second, from which all times follow, is a guess; if it"
+                " is true, remove the question mark at rate_hz in the map"
+            )
         remarks += flag_clipped(log, [header for header in headers if header.is_triad])
     rows_of_sensor = {name: count for stream in recording.streams for name, count in stream.rows_of.items()}
     return ImportSummary(

@@ -155,6 +155,14 @@ def test_a_rate_replaces_a_column_of_time(tmp_path: Path) -> None:
         assert log["A"].rate_hz == 100
 
 
+def test_a_guessed_rate_is_reported_until_its_mark_is_removed(tmp_path: Path) -> None:
+    rows = "1,2,3\n4,5,6\n7,8,9\n"
+    (remark,) = write(tmp_path, rows, RATE.replace("= 100", "= 100   # ? enter the true rate")).remarks
+    assert remark.startswith("the rate of 100 rows a second, from which all times follow, is a guess;")
+    (tmp_path / "out.h5").unlink()
+    assert not write(tmp_path, rows, RATE.replace("= 100", "= 100   # stated by the header")).remarks
+
+
 def test_a_rate_does_not_drift(tmp_path: Path) -> None:
     write(tmp_path, "1,2,3\n" * 7001, RATE.replace("100", "70"))
     assert counts_and_times(tmp_path)[1][-1] == 100 * 10**9
