@@ -182,7 +182,7 @@ def write_report(
     for number, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
         context = PageContext(calibration, with_figures, partial(_report, progress, number, len(kinds)), workers)
         part = KINDS[kinds[path]].part(_file_of(path), context)
-        verdicts += part.verdicts
+        verdicts += part.verdicts if len(kinds) == 1 else [verdict.of_file(path.name) for verdict in part.verdicts]
         summary += part.summary
         sections += part.sections
         context.progress(1.0)

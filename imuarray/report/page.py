@@ -11,7 +11,7 @@ import base64
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from os import PathLike
@@ -156,6 +156,10 @@ class Verdict:
     def sign(self) -> str:
         """Return a symbol of the level, for readers who do not see its colour."""
         return {"good": "✓", "doubtful": "▲", "bad": "✕", "neutral": "•"}[self.level]
+
+    def of_file(self, name: str) -> Verdict:
+        """Return the verdict with the name of its file at each figure, for a page of several files."""
+        return replace(self, figures=tuple((value, f"{meaning} ({name})") for value, meaning in self.figures))
 
 
 def highlight(text: str) -> str:

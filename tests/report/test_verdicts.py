@@ -175,6 +175,11 @@ def test_the_verdict_of_several_files_is_that_of_the_worst() -> None:
     both = joined([replace(good, figures=(("1", "a"), ("2", "b"))), replace(bad, figures=(("3", "a"),))])
     assert both is not None and both.figures == (("3", "a"), ("2", "b"))  # no figure of one kind twice
     assert worst == Verdict("b.h5 is not.", "bad", (("3", "c"), ("1", "a"), ("2", "b")))
+    of_files = joined(
+        [Verdict("", "good", (("1", "x"),)).of_file("a.h5"), Verdict("", "good", (("2", "x"),)).of_file("b.h5")]
+    )
+    assert of_files is not None
+    assert of_files.figures == (("1", "x (a.h5)"), ("2", "x (b.h5)"))
     order = joined([good, replace(good, sentence="c.toml is good: yes.")])
     assert order is not None
     assert order.sentence == "Everything is in order: a.h5 is healthy; c.toml is good."
