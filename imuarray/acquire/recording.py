@@ -100,8 +100,8 @@ def _watchdog_ns(environment: Mapping[str, str], process: int) -> int | None:
 BATCH_S = 1.0
 """Time in s between two writes: rows that are not written are lost if the machine stops."""
 VIRTUAL_BATCH_S = 5.0
-"""That of a recording on a virtual clock, such as the emulated array's, on which it passes in a twentieth of a second.
-Writing takes as long for few rows as for many.
+"""Time in s between two writes of a recording on a virtual clock, such as that of the emulated array. It is longer,
+because a write takes as long for few rows as for many.
 """
 
 

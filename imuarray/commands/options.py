@@ -217,8 +217,8 @@ class Duration(_Seconds):
 
 
 def refuse_other_suffix(path: Path, content: str) -> None:
-    """Raise click.UsageError if the name of a log or fused result (`content`) is that of a folder, or has the suffix of
-    another format.
+    """Raise click.UsageError if the path of a log or fused result (`content`) is a folder or has the suffix of another
+    format.
     """
     if path.is_dir():
         raise click.UsageError(f"{path}: is a folder; the output must be a file")
@@ -301,8 +301,8 @@ def report_doubts(log: Log) -> None:
 
 
 def terminal_columns() -> int:
-    """Return the usable columns of the terminal of standard error, or of 80 without one; the last column stays free,
-    because some terminals would wrap.
+    """Return the number of usable columns of the terminal of standard error (79 without a terminal). The last column
+    stays free, because some terminals begin a new line after it.
     """
     columns = shutil.get_terminal_size().columns
     if not os.environ.get("COLUMNS"):  # standard output may be a file
@@ -319,8 +319,8 @@ _BAR_FRAME = 24
 
 
 def _fit_bar(label: str, columns: int) -> tuple[str, int]:
-    """Return the label, whose end is kept, and the length of a progress bar that fits into a line, because each update
-    of a longer one would begin a new line.
+    """Return the label, or its end, and the length of a progress bar that together fit into a line: each update of a
+    longer line would begin a new one.
 
     >>> _fit_bar("run.h5", 80), _fit_bar("run.h5", 40), _fit_bar("folder/night_001.h5", 40)
     (('run.h5', 36), ('run.h5', 10), ('..001.h5', 8))

@@ -35,20 +35,20 @@ def contradictions(sensors: Sequence[SensorLog], calibration: Calibration) -> It
     if len(forces) < 2:
         return
     start_ns = max(int(sensor.time[0]) for sensor in forces)
-    named = [(sensor.name, _mean_force(sensor, calibration, start_ns)) for sensor in forces]
-    named = [(name, force) for name, force in named if np.linalg.norm(force) > _LEAST_FORCE]
-    if len(named) < 2:
+    mean_forces = [(sensor.name, _mean_force(sensor, calibration, start_ns)) for sensor in forces]
+    mean_forces = [(name, force) for name, force in mean_forces if np.linalg.norm(force) > _LEAST_FORCE]
+    if len(mean_forces) < 2:
         return
-    units = np.stack([force / np.linalg.norm(force) for _, force in named])
+    units = np.stack([force / np.linalg.norm(force) for _, force in mean_forces])
     angles_deg = np.degrees(np.arccos(np.clip(units @ units.T, -1.0, 1.0)))
     reference = int(np.argmax((angles_deg <= _CONTRADICTION_DEG).sum(axis=1)))
-    agreeing = [
-        name for (name, _), angle in zip(named, angles_deg[reference], strict=True) if angle <= _CONTRADICTION_DEG
+    majority = [
+        name for (name, _), angle in zip(mean_forces, angles_deg[reference], strict=True) if angle <= _CONTRADICTION_DEG
     ]
-    for angle_deg, (name, _) in zip(angles_deg[reference], named, strict=True):
+    for angle_deg, (name, _) in zip(angles_deg[reference], mean_forces, strict=True):
         if angle_deg > _CONTRADICTION_DEG:
             yield (
-                f"{name}: its specific force points {angle_deg:.0f} degrees from that of {listed(agreeing)}: axes are"
+                f"{name}: its specific force points {angle_deg:.0f} degrees from that of {listed(majority)}: axes are"
                 " wrong in the configuration or map, or a sensor is faulty"
             )
 

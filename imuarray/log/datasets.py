@@ -129,7 +129,7 @@ def times_of(time: Times, epoch: str) -> Any:
 def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -> Floats | None:
     """Return (n, 3) SI values in the box frame of all rows of a triad; None if the log states no sensitivity. The bias
     of a calibration is subtracted without temperature compensation. CalibrationError if the calibration does not fit
-    the sensor, or is none.
+    the sensor, or is no Calibration.
     """
     if calibration is not None and not hasattr(calibration, "or_nominal"):
         kind = type(calibration).__name__

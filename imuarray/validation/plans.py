@@ -73,8 +73,9 @@ certainly hidden.
 
 def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[str]:
     """Return the effects that are probably hidden in a world, or with `for_sure` only those that are certainly hidden,
-    on a sensor of a chip, according to the conditions that they need. A gain that follows temperature changes constant
-    readings as a bias does that follows temperature: no motion of a world is warm, and a force must change.
+    on a sensor of a chip, according to the conditions that they need. A gain that follows temperature changes a
+    constant reading as a bias that follows temperature does, and no world has a motion of a warm box: only an
+    accelerometer that is heated on several faces shows it.
     """
     moves = "motion" in world.kinds and bool(world.recorder["reference"])
     accelerometers = sum(other != "l3g4200d" for other in world.inertial.values())

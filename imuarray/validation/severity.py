@@ -274,7 +274,7 @@ def _share_drawn_anew(plain: Floats, changed: Floats, quiet: Booleans) -> float:
 
 def _step_square(counts: Floats) -> Floats:
     """Return (3,) the mean square of the steps of the readings from row to row, less their median, without outliers. A
-    median of the sizes would be coarse: those of a quiet sensor are one or two counts.
+    median of the sizes would be too coarse, because those of a quiet sensor are one or two counts.
     """
     steps = np.diff(counts, axis=0)
     sizes = np.abs(steps - np.median(steps, axis=0))

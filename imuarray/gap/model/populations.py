@@ -75,7 +75,7 @@ sheets print only a typical slope; over 20 degC that of a part changes by some p
 BOARD_STRESS_SIGMA, BOARD_LAGS_S = 0.08, (20.0, 200.0)
 """Standard deviation of the change of the bias with the temperature of a part of the board that warms up later than the
 chip, as a share of the slope of the bias; and the shortest and the longest time constant of that part, in s. A board
-that is not uniformly warm stresses the package: a bias over temperature is a loop, which no data sheet prints.
+that is not uniformly warm stresses the package, so that the bias over temperature is a loop. No data sheet prints it.
 """
 
 LONGEST_LAG_S = 20.0

@@ -3,9 +3,9 @@
 A two-pole low-pass filter with the configured cutoff f delays the signal by 1 / (sqrt(2) pi f). No data sheet prints
 the order of the filter or the tolerance of its cutoff, and some print only the bandwidth of the noise. The ratio of the
 delay to this figure, between 0 and `MOST_RATIO`, is a nuisance parameter that is common to the sensors of one quantity.
-If a sensor has another ratio, its delay has another cause: of `FEWEST_UNITS` or more sensors, one that is later than
-the ratio of the others predicts is left out of the fit. A delay that the log states is that of the data sheet; it is
-simulated as stated and is not a parameter.
+If a sensor has another ratio, its delay has another cause. If there are `FEWEST_UNITS` or more sensors, one that is
+later than the ratio of the others predicts is left out of the fit. A delay that the log states is that of the data
+sheet; it is simulated as stated and is not a parameter.
 
 A chip that decimates also delays its readings by several of its own periods. The number of periods is the same for all
 units of a chip type and is not printed by any data sheet. Up to `MOST_PERIODS` of them are a nuisance parameter of each
@@ -57,7 +57,7 @@ of the fit of their delay, and the least decrease of the sum of squares that thi
 """
 
 FEWEST_UNITS = 4
-"""Least number of sensors of one quantity with a filter of which one may be left out of the fit of the common ratio.
+"""Number of sensors of one quantity with a filter from which on one may be left out of the fit of the common ratio.
 Three sensors have only two relative delays, which the ratio and the delay of any one of them explain.
 """
 

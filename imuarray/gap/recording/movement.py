@@ -96,7 +96,7 @@ _NOISE_WINDOWS, _FEWEST_OF_NOISE, _MOST_OF_NOISE = 256, 4, 64
 _ROUNDING = 1e-9
 """Relative error of a sum of weights."""
 
-_OUTLYING, _LEAST_WEIGHT = 2.0, 1e-300
+_OUTLIER, _LEAST_WEIGHT = 2.0, 1e-300
 """Deviation of a reading from the median of the sensors, in standard deviations of its noise, to which it is limited in
 their mean: the mean then has 2 % more noise than that of all readings, and a faulty sensor shifts it by at most this
 share. The least sum of weights avoids a division by zero where no sensor has a reading.
@@ -401,9 +401,12 @@ def _course(
     )
     if accelerometers:
         places = np.array([sensor.position_mm for sensor in accelerometers]) * 1e-3
-        by_place = force_of_rotation(rate, window_s, places - places.mean(axis=0))
+        rotation_forces = force_of_rotation(rate, window_s, places - places.mean(axis=0))
         force = _mean_of(
-            [_window_means(sensor, edges_ns) - added for sensor, added in zip(accelerometers, by_place, strict=True)],
+            [
+                _window_means(sensor, edges_ns) - rotation_force
+                for sensor, rotation_force in zip(accelerometers, rotation_forces, strict=True)
+            ],
             _mean_noise(accelerometers, rests, window_s),
         )
     else:
@@ -584,7 +587,7 @@ def _middle_of(readings: Floats) -> tuple[Floats, Floats]:
 
     For three or more sensors it is the one-step M-estimate of Huber (Ann. Math. Stat. 35, 1964): their median, weighted
     by the inverse variances of their noise, of which no sensor has more than half, plus the mean of the deviations from
-    it, each limited to `_OUTLYING` standard deviations of the noise. The noise of a median alone may be twice that of a
+    it, each limited to `_OUTLIER` standard deviations of the noise. The noise of a median alone may be twice that of a
     mean. Each sensor's mean deviation is subtracted first, so that a sensor without readings in a window causes no
     step.
     """
@@ -599,7 +602,7 @@ def robust_mean(readings: Floats, axis: int = 0, *, weights: Floats) -> Floats:
     """Return the robust mean (w, 3) of readings (s, w, 3) with weights (s,), as `_middle_of` describes it."""
     median = weighted_median(readings, axis, weights=weights)
     apart = readings - median
-    limit = _OUTLYING * np.sqrt(_noise_of(apart))[:, None]
+    limit = _OUTLIER * np.sqrt(_noise_of(apart))[:, None]
     shares = np.where(np.isfinite(apart), weights[:, None, None], 0.0)
     total = np.maximum(shares.sum(axis=0), _LEAST_WEIGHT)
     return np.asarray(median + (shares * np.nan_to_num(np.clip(apart, -limit, limit))).sum(axis=0) / total)

@@ -3,7 +3,8 @@
 Labels are set by hand, a second early or late. A box at rest is touched, or stands on a desk at which somebody types,
 or on a vehicle whose engine starts. A simulation contains none of these. If the noise of a single sensor rises, the
 sensor causes it. If the noise of several sensors rises at the same time, the box is not at rest: these times are left
-out, as are the ends of a phase in which the box still moves, according to several sensors of a quantity if there are.
+out, as are the ends of a phase in which the box still moves. If there are several sensors of a quantity, several of
+them must show the motion.
 """
 
 from __future__ import annotations
@@ -173,9 +174,9 @@ def _is_hidden_from_others(sensors: Sequence[SensorLog], blocks: Sequence[_Block
 
 
 def _moves(sensors: Sequence[SensorLog], blocks: Sequence[_Blocks]) -> Booleans:
-    """Return the blocks (b,) in which the box moves: all sensors of a quantity measure a motion, so several of them
-    must, and at least `_SHARE` of them. The level of a single one changes with its temperature, or by a corrupted
-    reading.
+    """Return the blocks (b,) in which the box moves. If there are several sensors of a quantity, at least two of them,
+    and at least `_SHARE` of them, must measure the motion: the level of a single one also changes with its temperature,
+    or by a corrupted reading.
     """
     is_moved = np.zeros(len(blocks[0].moves), bool)
     for quantity in INERTIAL:

@@ -159,7 +159,7 @@ class Cross:
 
 def window_ns(rates_hz: Sequence[float], *, is_resolved: bool = True) -> int:
     """Return, in ns, the shortest of the usual windows in which the slowest sensor has two rows; at most 5 s. If the
-    rows do not resolve the motion, it has five rows and is at least 0.1 s long.
+    rows do not resolve the motion, the slowest sensor has five rows in it, and it is at least 0.1 s long.
     """
     rows, shortest_s = (_WINDOW_ROWS, 0.0) if is_resolved else (_UNRESOLVED_ROWS, _UNRESOLVED_S)
     needed_s = max(rows / min(rates_hz), shortest_s)
