@@ -54,7 +54,7 @@ def test_each_file_has_its_section(inputs: Path, tmp_path: Path) -> None:
         "fused.h5: fused by mean",
     ]
     assert text.count("<img") == text.count("alt=") == 4  # no Allan curve, no spectrum: a face lasts two seconds
-    assert "too short: 2 s, at least 30 s are needed" in text
+    assert "2 s are too short, at least 30 s are needed" in text
     markup = re.sub(r"(<script[^>]*>).*?</script>", r"\1", text, flags=re.DOTALL)  # BokehJS contains such texts itself
     assert not re.search(r'(src|href)="(?!#|data:)', markup)  # it needs no other file
 
