@@ -562,7 +562,7 @@ def test_the_progress_line_fits_a_narrow_terminal(run: Run, monkeypatch: pytest.
     monkeypatch.setenv("COLUMNS", "40")
     _, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
     shown = [line.strip() for line in "\n".join(err).split("\x1b[K")]
-    assert "r.h5: 100 frames, 2 of 3 s, 0 readings" in shown
+    assert "r.h5: 150 frames, 3 of 3 s, 0 readings" in shown
     assert max(map(len, shown[1:])) <= 39
 
 
