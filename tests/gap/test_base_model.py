@@ -144,7 +144,16 @@ def test_every_replicate_draws_its_units() -> None:
         assert errors.std() == pytest.approx(expected, rel=0.1)
     effects = base.effects(7)
     assert effects == base.effects(7) != base.effects(8)
-    fitted_too = {"own_clock", "scale", "misalignment", "turn_on_bias", "white_noise", "bias", "thermal_bias"}
+    fitted_too = {
+        "own_clock",
+        "scale",
+        "misalignment",
+        "turn_on_bias",
+        "white_noise",
+        "bias",
+        "thermal_bias",
+        "thermal_lag",
+    }
     fitted_too |= {"nonlinearity", "thermal_scale"}  # as far as stated in the data sheets (BMA-116, BMA-117)
     assert {effect.name for effect in effects["A1"]} == fitted_too | {"size_effect"}
     assert {effect.name for effect in effects["G2"]} == fitted_too | {"g_sensitivity", "bias_instability"}
