@@ -80,7 +80,7 @@ from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.stimulus import Motion
 from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
-from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
+from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
 __all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual", "select_fitted"]
 
@@ -289,13 +289,13 @@ class Base:
         self, header: SensorHeader, units: Streams, kinds: Collection[type[Effect]]
     ) -> Iterator[Effect]:
         """Yield, if its slope is fitted, a random quadratic term of the bias over temperature, about 25 degC, and the
-        bias by a part of the board that warms up later and stresses the chip; otherwise, for a sensor with a bias over
-        temperature and no lag among the `kinds` of its effects, a random lag of the element, which is not determined
-        either.
+        bias by a part of the board that warms up later and stresses the chip; otherwise, for an inertial sensor with a
+        bias over temperature and no lag among the `kinds` of its effects, a random lag of the element, which is not
+        determined either.
         """
         if not self.fitted[header.name].is_slope_known:
             stream = units.of_unit(header.name, ThermalLag.name, "element")
-            if ThermalBias in kinds and ThermalLag not in kinds:
+            if header.quantity in INERTIAL and ThermalBias in kinds and ThermalLag not in kinds:
                 yield ThermalLag(float(stream.uniform(0.0, LONGEST_LAG_S)))
             return
         slope = np.array(self.fitted[header.name].slope)
