@@ -25,6 +25,7 @@ from imuarray.gap.recording.turns import Turn, factors_of, likely_exchange
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.robust import MEDIAN_ABSOLUTE
+from imuarray.simulate.effects.response import rotational_force
 from imuarray.simulate.motion.like import SplineColumns
 from imuarray.simulate.motion.posed import Movement, neighbours
 from imuarray.simulate.motion.track_noise import reduce_noise
@@ -98,8 +99,8 @@ _ROUNDING = 1e-9
 
 _OUTLIER, _LEAST_WEIGHT = 2.0, 1e-300
 """Deviation of a reading from the median of the sensors, in standard deviations of its noise, to which it is limited in
-their mean: the mean then has 2 % more noise than that of all readings, and a faulty sensor shifts it by at most this
-share. The least sum of weights avoids a division by zero where no sensor has a reading.
+their mean: a faulty sensor shifts the mean by at most its weight times this deviation. The least sum of weights avoids
+a division by zero where no sensor has a reading.
 """
 
 _CLIPPED = 0.97
@@ -418,9 +419,8 @@ def _course(
 
 
 def force_of_rotation(rate: Floats, window_s: float, places_m: Floats) -> Floats:
-    """Return the specific forces (s, w, 3), in m/s2, that a rotation adds at the places (s, 3): the centripetal and the
-    tangential ones of a rigid body. The rates (w, 3) of successive windows, in rad/s, are interpolated where they are
-    unknown. All vectors are in the box's frame.
+    """Return the specific forces (s, w, 3), in m/s2, that a rotation adds at the places (s, 3). The rates (w, 3) of
+    successive windows, in rad/s, are interpolated where they are unknown. All vectors are in the box's frame.
     """
     known = np.flatnonzero(np.isfinite(rate[:, 0]))
     if not places_m.any() or not len(known):
@@ -432,7 +432,7 @@ def force_of_rotation(rate: Floats, window_s: float, places_m: Floats) -> Floats
         for shift in (-step, 0, step)
     )
     acceleration = (after - before) / (2 * step * window_s)
-    return np.array([np.cross(acceleration, place) + np.cross(now, np.cross(now, place)) for place in places_m])
+    return np.array([rotational_force(now, acceleration, place_m) for place_m in places_m])
 
 
 def shows_motion(force: Floats, rate: Floats) -> bool:

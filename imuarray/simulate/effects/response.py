@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.arrays import Reals
+from imuarray.arrays import Floats, Reals
 from imuarray.axes import AXES
 from imuarray.simulate.effect import Effect, per_axis, several
 from imuarray.simulate.signal import Analog, BoxStimulus, Place, Triple, per_row
@@ -33,9 +33,16 @@ class SizeEffect(Effect):
             rate, acceleration = rate[:1], acceleration[:1]
         if not (rate.any() or acceleration.any()):
             return stimulus
-        place = np.array(self.position_mm) * 1e-3
-        added = np.cross(acceleration, place) + np.cross(rate, np.cross(rate, place))
+        added = rotational_force(rate, acceleration, np.array(self.position_mm) * 1e-3)
         return replace(stimulus, force_box=stimulus.force_box + added) if added.any() else stimulus
+
+
+def rotational_force(rate: Reals, acceleration: Reals, place_m: Floats) -> Floats:
+    """Return the specific force (n, 3), in m/s2, that a rotation adds at a place (3,) of a rigid body, in m: the
+    tangential and the centripetal one. `rate` (n, 3) is in rad/s, the angular `acceleration` (n, 3) in rad/s2, all in
+    the frame of the body.
+    """
+    return np.asarray(np.cross(acceleration, place_m) + np.cross(rate, np.cross(rate, place_m)))
 
 
 def with_position(effects: Sequence[Effect], position_mm: Triple) -> tuple[Effect, ...]:
