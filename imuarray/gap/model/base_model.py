@@ -380,12 +380,10 @@ def fit(
         fitted[name] = replace(fitted[name], clock_error=errors[name], delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model specifies the filter
-        low_pass, low_pass_sd, measured = _filter_of(campaign, header, fitted[name], vibrations)
-        if low_pass is not None:
-            rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
-            fitted[name] = replace(
-                fitted[name], rms=rms, low_pass=low_pass, low_pass_sd=low_pass_sd, measured_low_pass=measured
-            )
+        chip_filter = _filter_of(campaign, header, fitted[name], vibrations)
+        if chip_filter.low_pass is not None:
+            rms = rms_of(header, rests[name], _row_correlations(campaign, header, chip_filter.low_pass))
+            fitted[name] = replace(fitted[name], rms=rms, **chip_filter._asdict())
     flickering = frozenset(name for name, header in headers.items() if _may_flicker(header, fitted[name], rests[name]))
     return Base(headers, fitted, model, seed, flickering=flickering)
 
@@ -729,11 +727,24 @@ def _of_filter(correlations: Floats, rows: float) -> Floats:
     return least if difference > max(_FAR_SMALLER * float(np.linalg.norm(median)), by_chance) else median
 
 
+class _ChipFilter(NamedTuple):
+    """A chip's own filter, as in `FittedParameters`: None if the rows do not show one; the standard deviation of the
+    log of its cutoff; and the same filter with the measured correlations, None if they are not known.
+    """
+
+    low_pass: Bandwidth | None = None
+    low_pass_sd: float = 0.0
+    measured_low_pass: Bandwidth | None = None
+
+
+_NO_FILTER = _ChipFilter()
+"""The filter of white noise."""
+
+
 def _filter_of(
     campaign: Campaign, header: SensorHeader, fitted: FittedParameters, vibrations: Sequence[Sequence[Vibration]]
-) -> tuple[Bandwidth | None, float, Bandwidth | None]:
-    """Return the chip's own filter, or None if the rows do not show one; the standard deviation of the log of its
-    cutoff; and the same filter with the measured correlations, or None if they are not known.
+) -> _ChipFilter:
+    """Return the chip's own filter.
 
     The filter is a least-squares fit to the correlations at lags 1 to 3. The candidates are filters of one and two
     poles with cutoffs within `CUTOFF_TOLERANCE` of the configured one, analogue and digital (behind a converter that
@@ -746,10 +757,10 @@ def _filter_of(
     configured_hz = noise_bandwidth_hz(header)
     measured = _correlations(campaign, header, fitted, vibrations) if configured_hz > 0 else None
     if measured is None:
-        return None, 0.0, None
+        return _NO_FILTER
     without_memory = measured.beyond(np.zeros_like(measured.values))
     if np.abs(without_memory).max() < LEAST_CORRELATION:
-        return None, 0.0, None
+        return _NO_FILTER
     reads, phases = measured.reads, len(measured.reads)
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
@@ -772,7 +783,7 @@ def _filter_of(
     if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
         as_configured = min(places, key=lambda at: (abs(filters[at].cutoff_hz - configured_hz), misfits[at]))
         is_better = has_margin and white - misfits[as_configured] > _BETTER / float(measured.rows.sum())
-        return (filters[as_configured], 0.0, None) if is_better else (None, 0.0, None)
+        return _ChipFilter(filters[as_configured]) if is_better else _NO_FILTER
     nearest = min(places, key=misfits.__getitem__)
     best, least = filters[nearest], misfits[nearest]
     is_filter = least < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
@@ -780,9 +791,9 @@ def _filter_of(
     if not is_filter or least > _MEASURED * measured.by_chance * phases:
         is_short = white > _UNLIKELY * measured.by_chance * phases and _is_forgotten(correlations, measured.rows.sum())
         if correlations and (is_filter or is_short):
-            return replace(best, correlations=correlations), 0.0, None
+            return _ChipFilter(replace(best, correlations=correlations))
     if not is_filter:
-        return None, 0.0, None
+        return _NO_FILTER
     near = least + _MEDIAN_VARIANCE / float(measured.rows.sum())
     cutoffs_hz = [
         effect.cutoff_hz
@@ -792,7 +803,7 @@ def _filter_of(
     by_fit = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
     form_error = _form_error(measured, best, dict(zip(filters, expected, strict=True)))
     of_samples = replace(best, correlations=correlations) if correlations else None
-    return best, math.hypot(by_fit, form_error), of_samples
+    return _ChipFilter(best, math.hypot(by_fit, form_error), of_samples)
 
 
 def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandwidth, Floats]) -> float:
