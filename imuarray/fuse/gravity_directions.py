@@ -31,21 +31,20 @@ def contradictions(sensors: Sequence[SensorLog], calibration: Calibration) -> It
     """Yield a sentence if mean forces at the beginning of the log point in directions that differ by more than biases
     explain. The reference is the sensor with which most others agree, the first one in a tie.
     """
-    forces = [sensor for sensor in sensors if sensor.quantity == "specific_force" and len(sensor)]
-    if len(forces) < 2:
+    accelerometers = [sensor for sensor in sensors if sensor.quantity == "specific_force" and len(sensor)]
+    start_ns = max((int(sensor.time[0]) for sensor in accelerometers), default=0)
+    mean_forces = {sensor.name: _mean_force(sensor, calibration, start_ns) for sensor in accelerometers}
+    directions = {
+        name: force / size for name, force in mean_forces.items() if (size := np.linalg.norm(force)) > _LEAST_FORCE
+    }
+    if len(directions) < 2:
         return
-    start_ns = max(int(sensor.time[0]) for sensor in forces)
-    mean_forces = [(sensor.name, _mean_force(sensor, calibration, start_ns)) for sensor in forces]
-    mean_forces = [(name, force) for name, force in mean_forces if np.linalg.norm(force) > _LEAST_FORCE]
-    if len(mean_forces) < 2:
-        return
-    units = np.stack([force / np.linalg.norm(force) for _, force in mean_forces])
-    angles_deg = np.degrees(np.arccos(np.clip(units @ units.T, -1.0, 1.0)))
+    triads = np.stack(list(directions.values()))
+    angles_deg = np.degrees(np.arccos(np.clip(triads @ triads.T, -1.0, 1.0)))
     reference = int(np.argmax((angles_deg <= _CONTRADICTION_DEG).sum(axis=1)))
-    majority = [
-        name for (name, _), angle in zip(mean_forces, angles_deg[reference], strict=True) if angle <= _CONTRADICTION_DEG
-    ]
-    for angle_deg, (name, _) in zip(angles_deg[reference], mean_forces, strict=True):
+    angle_of = dict(zip(directions, angles_deg[reference], strict=True))
+    majority = [name for name, angle_deg in angle_of.items() if angle_deg <= _CONTRADICTION_DEG]
+    for name, angle_deg in angle_of.items():
         if angle_deg > _CONTRADICTION_DEG:
             yield (
                 f"{name}: its specific force points {angle_deg:.0f} degrees from that of {listed(majority)}: axes are"
