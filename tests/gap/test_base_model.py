@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -126,6 +126,14 @@ def test_residuals_are_statistics_minus_predictions() -> None:
     np.testing.assert_allclose(slopes, 0.0, atol=2e-4)
 
 
+E = TypeVar("E", bound=Effect)
+
+
+def effects_drawn(base: Base, name: str, kind: type[E]) -> list[E]:
+    """The effects of one kind that are drawn for a sensor in the first 200 replicates."""
+    return [effect for number in range(200) for effect in base.drawn(number)[name] if isinstance(effect, kind)]
+
+
 def drawn(base: Base, name: str, kind: type[Scale]) -> np.ndarray:
     """(r, 3) of the first 400 replicates."""
     effects = [base.effects(replicate)[name] for replicate in range(400)]
@@ -219,9 +227,7 @@ def test_a_slope_without_a_known_temperature_is_drawn() -> None:
     """BMA180: +-0.5 mg/K are two sigma (BMA-115), of a gyroscope +-0.03 dps/degC at 250 dps (L3G-71)."""
     base, warm = fitted_to("static"), fitted_to("heating")
     assert not base.fitted["A1"].is_slope_known
-    slopes = [
-        effect.slope for number in range(200) for effect in base.drawn(number)["A1"] if isinstance(effect, ThermalBias)
-    ]
+    slopes = [effect.slope for effect in effects_drawn(base, "A1", ThermalBias)]
     assert np.std(slopes) == pytest.approx(2.5e-4 * 0.88, rel=0.15)
     assert np.abs(slopes).max() <= 5e-4
     assert warm.fitted["A1"].is_slope_known
@@ -258,24 +264,14 @@ def test_flicker_noise_within_the_limit_is_usual() -> None:
 def test_the_curvature_of_a_bias_over_temperature_is_drawn() -> None:
     """The slope of a part changes by 0.15 % of it per degC (one sigma): 600 draws give that to 3 %."""
     warm = fitted_to("heating")
-    curves = [
-        effect.quadratic
-        for number in range(200)
-        for effect in warm.drawn(number)["G1"]
-        if isinstance(effect, ThermalBias)
-    ]
+    curves = [effect.quadratic for effect in effects_drawn(warm, "G1", ThermalBias)]
     assert np.std(np.array(curves) / warm.fitted["G1"].slope) == pytest.approx(0.0015, rel=0.12)
 
 
 def test_the_lag_of_an_element_that_no_heating_determines_is_drawn() -> None:
     """From 0 to 20 s, evenly: the mean of 200 draws is 10 s within three standard errors."""
     base = fitted_to("static")
-    lags_s = [
-        effect.time_constant_s
-        for number in range(200)
-        for effect in base.drawn(number)["A1"]
-        if isinstance(effect, ThermalLag)
-    ]
+    lags_s = [effect.time_constant_s for effect in effects_drawn(base, "A1", ThermalLag)]
     assert len(lags_s) == 200
     assert 0.0 <= min(lags_s) <= max(lags_s) <= 20.0
     assert np.mean(lags_s) == pytest.approx(10.0, abs=3 * 20 / math.sqrt(12 * 200))
@@ -287,7 +283,7 @@ def test_the_stress_of_a_slowly_heated_board_is_drawn() -> None:
     and 200 times spread evenly in their logarithm have a median within a fifth of the geometric mean, 63 s.
     """
     warm = fitted_to("heating")
-    boards = [effect for number in range(200) for effect in warm.drawn(number)["G1"] if isinstance(effect, ThermalLag)]
+    boards = effects_drawn(warm, "G1", ThermalLag)
     shares = np.array([board.slope for board in boards]) / warm.fitted["G1"].slope
     assert np.std(shares) == pytest.approx(0.08, rel=0.12)
     lags_s = [board.time_constant_s for board in boards]
