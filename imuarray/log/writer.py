@@ -686,7 +686,7 @@ def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
         journal_copy = lock.put_aside()
     elif lock is not None:
         lock.remove()
-    if reserve_of(path).exists():
+    if reserve_of(path).exists():  # on a read-only disk, the removal of a missing file is an error as well
         reserve_of(path).unlink(missing_ok=True)
     sweep(path)
     sync_folder(path)

@@ -367,9 +367,9 @@ _OF_A_SLIP = 0.03
 _OF_GAINS, _OF_VARIANCES, _OF_WINDOWS = 0.25, 4.0, 0.3
 """Least meaningful differences in a motion with changes that the rows do not resolve: of gains and correlations, of
 logs of variances, and of delays as a share of a window. In recordings of healthy sensors that are turned by hand, swung
-or carried they differ from simulations of the estimated motion by up to 0.2, 1.9 and, of windows with two
-rows, 0.4, which is 0.16 of the windows with five rows that are used; a score that varies by less than the least
-difference is enlarged up to three times, by `pairs.LEAST` and the least scale of a tail.
+or carried they differ from simulations of the estimated motion by up to 0.2, 1.9 and 0.16 of a window of five rows. A
+score that varies by less than the least difference is enlarged up to three times, by `pairs.LEAST` and the least scale
+of a tail.
 """
 
 _OF_A_CONVERSION_S = 1e-4
