@@ -6,9 +6,9 @@ events of a log are incomplete (it was interrupted, or is a part of a longer one
 times of its rows.
 
 A logger begins frames on a grid: frame k is due k periods after the first one. A frame is missed if its time has passed
-before the previous frame ends; the grid does not shift. The number of missing frames between two rows of a sensor that
+before the previous frame ends; the grid does not shift. The number of missing rows between two rows of a sensor that
 is read once per frame is therefore the number of periods between them minus the number of rows, regardless of how many
-are missing and how regularly the others arrive.
+are missing and how regularly the others arrive. They are missed frames if no reading of this sensor was lost.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 from imuarray.arrays import Times
 from imuarray.log.format import Event
+from imuarray.log.health import is_trouble
 from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
 from imuarray.units import INERTIAL
@@ -28,6 +29,8 @@ _SAME_CLOCK = frozenset({"i2c", "spi", "emulated", "replay"})
 """Sources with times of the clock by which the logger begins frames; periods are exact on this clock."""
 _EARLY = 0.25
 """Share of a period by which a row may be too early for its frame: reading the first row may have taken longer."""
+_OF_ALL = frozenset({"adapter", "bus"})
+"""Kinds of faults by which every sensor loses readings, although their frames are not missed."""
 _OWN_PACE = 1.25
 """Rows per frame above which a sensor has a queue, which it fills at its own rate."""
 
@@ -92,6 +95,13 @@ def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: i
     return bool(keeps_up and rate_hz <= _OWN_PACE * frame_rate_hz)
 
 
+def loses_no_reading(sensor: str, faults: Iterable[tuple[str, str]]) -> bool:
+    """Return whether the faults, as (sensor, kind of event), include none of this sensor and none of the bus or of the
+    adapter: all rows that it lacks are then missed frames.
+    """
+    return not any(name == sensor or (not name and kind in _OF_ALL) for name, kind in faults)
+
+
 def missing_rows(first_ns: int, last_ns: Times, rows: int, frame_period_ns: int) -> int:
     """Count the missing rows between the first and the newest of `rows` of a sensor that is read once a frame.
 
@@ -117,27 +127,35 @@ def missed_by_all(missing: Sequence[tuple[int, int]], frame_period_ns: int) -> i
 def frame_timing(log: Log) -> FrameTiming:
     """Return missed frames and duration of `log`.
 
-    If the log lies on a known grid of frames, the duration is that of its frames and missed frames, accurate to one
-    frame if every sensor has lost readings. Otherwise it is the time from the first row to the last, plus one period.
+    If the log lies on a known grid of frames, the duration is that of its frames and missed frames. If every sensor has
+    lost readings, missed frames after the last row do not count. Otherwise the duration is the time from the first row
+    to the last, plus one period.
     """
     period_ns = frame_period_ns(log.source, log.frame_rate_hz)
     sensors = [sensor for sensor in log.sensors.values() if sensor.quantity in INERTIAL and len(sensor) > 1]
     once = [sensor for sensor in sensors if is_read_once_a_frame(sensor.rate_hz, _rate_hz(sensor), period_ns)]
-    missing = [
-        (int(sensor.time[0]), missing_rows(int(sensor.time[0]), sensor.time[len(sensor) - 2 :], len(sensor), period_ns))
+    missing = {
+        sensor.name: (
+            int(sensor.time[0]),
+            missing_rows(int(sensor.time[0]), sensor.time[len(sensor) - 2 :], len(sensor), period_ns),
+        )
         for sensor in once
-    ]
-    by_rows = missed_by_all(missing, period_ns)
+    }
     by_events = missed_by_events(log.events)
-    if by_rows is None:
+    if not once:
         return FrameTiming(by_events or None if period_ns else None, _span_s(log))
+    faults = {(event.sensor, event.kind) for event in log.events if is_trouble(event)}
+    by_rows = missed_by_all([missing[name] for name in missing if loses_no_reading(name, faults)], period_ns)
+    if by_rows is None:
+        frames = max(len(sensor) + missing[sensor.name][1] for sensor in once)
+        return FrameTiming(by_events, duration_s(frames, 0, log.frame_rate_hz))
     # Rows determine the frames missed between them to within one, but not those missed after the last row.
     complete = log.state == "finished" and all(event.kind != "recovered" for event in log.events)
     if by_events is None or (by_events == 0 and by_rows > 1):
         missed = by_rows
     else:
         missed = by_events if complete else max(by_events, by_rows)
-    lost_frames = (max(count - by_rows, 0) for _, count in missing)
+    lost_frames = (max(count - by_rows, 0) for _, count in missing.values())
     frames = max(len(sensor) + (count if count > 1 else 0) for sensor, count in zip(once, lost_frames, strict=True))
     return FrameTiming(missed, duration_s(frames, missed, log.frame_rate_hz))
 

@@ -25,7 +25,13 @@ from imuarray.log import Log, SensorLog, first_at
 from imuarray.log.disk_space import WATERMARK, free_bytes
 from imuarray.log.format import FLAGS
 from imuarray.log.health import Observations, health_of
-from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, missed_by_all, missing_rows
+from imuarray.log.missed_frames import (
+    frame_period_ns,
+    is_read_once_a_frame,
+    loses_no_reading,
+    missed_by_all,
+    missing_rows,
+)
 from imuarray.monitor.log_source import LogSource
 from imuarray.monitor.snapshot import INTERRUPTED, WRITTEN, Disk, FusedView, SensorView, Snapshot
 from imuarray.monitor.window import Gaps, LatestRows, MemoryLog, Rows
@@ -249,10 +255,12 @@ def snapshot_of(
     )
     frames = _frames(views)
     fused, not_fused = _choose_fused(source, windows, calibration, ends_ns or 0, result)
-    framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
+    steady = [view for view in views if view.quantity in INERTIAL and loses_no_reading(view.name, events.faults)]
+    framed = [(view.first_ns, view.missed) for view in steady if view.framed and view.first_ns is not None]
     missed = missed_by_all(framed, period_ns)  # by the grid of the frames, or else by the rows that all sensors lack
     if missed is None:
-        missed = min((view.missed for view in frames), default=0)
+        steady = [view for view in frames if loses_no_reading(view.name, events.faults)]
+        missed = min((view.missed for view in steady), default=0)
     missed, disk = max(events.missed, missed), _disk(source, views)
     observations = _observations(source, views, missed, quiet_s, disk)
     return Snapshot(

@@ -26,6 +26,7 @@ from imuarray.log.missed_frames import (
     missed_by_events,
     missing_rows,
 )
+from imuarray.monitor import LogMonitor
 from tests.selection import some
 
 PERIOD_NS = 10_000_000
@@ -221,6 +222,34 @@ def test_events_count_missed_frames_only_in_a_complete_log(tmp_path: Path, recov
             writer.event(Event(6 * PERIOD_NS, "", "recovered", "the log was cut short"))
     with open_log(path) as log:
         assert frame_timing(log).missed == missed
+
+
+@pytest.mark.parametrize(
+    ("acc", "gyro", "faults", "missed"),
+    [
+        ([5, 6, 7], [20, 21], [("Acc", "lost"), ("Gyro", "lost")], 0),
+        ([5, 6, 7], [5, 6, 7], [("", "adapter")], 0),
+        ([5, 6, 7], [5, 6, 7], [("", "bus")], 0),
+        ([5, 6, 7, 20, 21], [5, 6, 7], [("Acc", "lost")], 3),
+        ([5, 6, 7], [5, 6, 7], [], 3),
+    ],
+)
+def test_readings_that_all_sensors_lost_are_no_missed_frames(
+    tmp_path: Path, acc: list[int], gyro: list[int], faults: list[tuple[str, str]], missed: int
+) -> None:
+    """Each sensor lacks some of 40 rows at 100 Hz, which last 0.4 s; the events say whose readings were lost."""
+    path = tmp_path / "run.h5"
+    turns = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 114.0)
+    with LogWriter(path, [ACC, turns], source="i2c", epoch="2026-01-01T00:00:00Z", frame_rate_hz=100.0) as writer:
+        for name, lost in (("Acc", acc), ("Gyro", gyro)):
+            times = np.delete(np.arange(40), lost) * PERIOD_NS
+            writer.append(name, Block(times, np.zeros((len(times), 3), np.int16), np.zeros(len(times), np.uint16)))
+        for name, kind in faults:
+            writer.event(Event(8 * PERIOD_NS, name, kind, "no reading: Remote I/O error"))
+    with open_log(path) as log:
+        assert frame_timing(log) == (missed, pytest.approx(0.4))
+    with LogMonitor(path) as watch:
+        assert watch.refresh(0.0).missed == missed
 
 
 def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: Path) -> None:
