@@ -39,10 +39,19 @@ UNITS_OF: Mapping[Quantity, Mapping[str, float]] = MappingProxyType(
                 "m/s2": 1 / STANDARD_GRAVITY,
                 "mm/s2": 1e-3 / STANDARD_GRAVITY,
                 "gal": 1e-2 / STANDARD_GRAVITY,
+                "ft/s2": 0.3048 / STANDARD_GRAVITY,
             }
         ),
         "angular_rate": MappingProxyType(
-            {"dps": 1.0, "deg/s": 1.0, "mdps": 1e-3, "rad/s": 180 / math.pi, "mrad/s": 0.18 / math.pi}
+            {
+                "dps": 1.0,
+                "deg/s": 1.0,
+                "mdps": 1e-3,
+                "rad/s": 180 / math.pi,
+                "mrad/s": 0.18 / math.pi,
+                "deg/h": 1 / 3600,
+                "rpm": 6.0,
+            }
         ),
         "magnetic_field": MappingProxyType(
             {"gauss": 1.0, "mgauss": 1e-3, "T": 1e4, "mT": 10.0, "uT": 1e-2, "nT": 1e-5}
@@ -64,12 +73,15 @@ _SPELLINGS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
             ),
             "mm/s2": ("mm/s^2", "mm/s\u00b2", "mm/s/s"),
             "gal": ("Gal", "cm/s2", "cm/s^2", "cm/s\u00b2"),
+            "ft/s2": ("ft/s^2", "ft/s\u00b2", "ft/s/s", "ft/sec^2", "fps2"),
         },
         "angular_rate": {
             "dps": ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "deg s-1", "\u00b0/s", "\u00ba/s", "\u00b0/sec"),
             "mdps": ("mdeg/s", "m\u00b0/s"),
             "rad/s": ("rad/sec", "rads/s", "radps", "rad s-1", "rad s^-1", "rad.s-1"),
             "mrad/s": ("mrad/sec",),
+            "deg/h": ("deg/hr", "deg/hour", "degree/h", "degrees/h", "degrees/hour", "\u00b0/h", "\u00b0/hr", "dph"),
+            "rpm": ("RPM", "rev/min", "r/min", "1/min"),
         },
         "magnetic_field": {
             "gauss": ("Gauss", "G", "Gs"),

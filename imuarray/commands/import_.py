@@ -164,7 +164,7 @@ def _print_result(summary: ImportSummary, output: Path, as_json: bool) -> None:
     from imuarray.importers.plausibility import store_report
     from imuarray.log import open_log
 
-    report = store_report(output, summary.remarks)
+    report = store_report(output, summary.remarks, summary.doubts)
     with open_log(output) as log:
         messages = {event.kind: event.message for event in log.events}
     if as_json:

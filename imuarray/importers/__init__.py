@@ -43,7 +43,8 @@ MAGICS: Mapping[bytes, str] = MappingProxyType(
 class ImportSummary:
     """The result of an import: `rows` of each sensor over `seconds`; `lost` is the number of missing rows according to
     the source (None if it does not number its rows); the number of events of each kind. Without `same_rows`, `rows` is
-    that of the sensor with the most rows. `remarks` are sentences on what the importer left out, inferred or changed.
+    that of the sensor with the most rows. `remarks` are sentences on what the importer left out, inferred or changed,
+    `doubts` those on guesses of the map that the recording does not confirm.
     """
 
     sensors: tuple[str, ...]
@@ -53,6 +54,7 @@ class ImportSummary:
     events: Mapping[str, int] = field(default_factory=dict)
     same_rows: bool = True
     remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class Importer(Protocol):

@@ -6,6 +6,7 @@ proposed map with its doubts.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
@@ -143,7 +144,8 @@ def propose_columns(
         quaternion_columns = ", ".join(proposal.attitudes[-1])
         proposal.doubts.append(f"left out: {quaternion_columns}: {QUATERNION}")
         taken |= set(quaternion)
-    triads = _choose_triads(list(_find_triads(names, columns, taken, stem, units)), names, columns, proposal)
+    triads = list(_find_triads(*_tell_apart(names, units), columns, taken, stem))
+    triads = _choose_triads(triads, names, columns, proposal)
     triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append(rate_line(proposal))
@@ -230,12 +232,25 @@ def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force
     return "m/s2" if item.text("unit") == "m/s2" else force_unit
 
 
+def _tell_apart(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[str], Mapping[str, str]]:
+    """Return names of which none occurs twice, and the units by these names: the second column of a name, which belongs
+    to another sensor, is called "2.name". Numbers are no names: a GoPro calls the columns after the first "1" and "2".
+    """
+    times: Counter[str] = Counter()
+    apart = []
+    for name in names:
+        times[name] += bool(name.strip()) and not name.strip().isdigit()
+        apart.append(f"{times[name]}.{name}" if times[name] > 1 else name)
+    known = {new: units[name] for new, name in zip(apart, names, strict=True) if name in units}
+    return apart, {**units, **known}
+
+
 def _find_triads(
     names: Sequence[str],
+    units: Mapping[str, str],
     columns: Sequence[Floats],
     taken: set[int],
     stem_of_file: str,
-    units: Mapping[str, str],
 ) -> Iterator[NamedTriad]:
     """Yield the quantity ("" if neither name nor unit states it) and the columns of each triad."""
     if not names:

@@ -17,12 +17,13 @@ import numpy as np
 
 from imuarray.errors import ImuArrayError
 from imuarray.importers.column_names import COMPUTED, TRUTH
+from imuarray.importers.mapping import UNIT_UNKNOWN
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
 from imuarray.importers.proposal import (
     COUNTS_OF_GYROSCOPE,
     UNIT_MG,
-    UNIT_UNKNOWN,
+    UNIT_MILLI,
     UNKNOWN_RATE,
     Item,
     Proposal,
@@ -266,15 +267,24 @@ def _is_called_computed(item: Item) -> bool:
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:
     """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if gravity in all directions agrees
-    with mg.
+    with mg, or if gravity in this direction does and the gyroscope is in mdps; otherwise add a doubt if mg are as near.
     """
     changed = False
+    has_milli = any(_is_gyroscope(item) and item.text("unit") == "mdps" for item in proposal.items)
     for item in proposal.items:
+        if not item.line("sensitivity").startswith("sensitivity = 1024 "):
+            continue
         length = 1024 * radii.get(item.name, 0.0)
-        if item.line("sensitivity").startswith("sensitivity = 1024 ") and length and is_in_mg(length):
+        along = float(item.line("sensitivity").rpartition(": ")[2].split()[0])
+        if (length and is_in_mg(length)) or (not length and has_milli and is_in_mg(along)):
             item.leave_out("range", "sensitivity", "unit")
-            item.append(UNIT_MG.format(length))
+            item.append(UNIT_MG.format(length) if length else UNIT_MILLI.format(along))
             changed = True
+        elif not length and is_in_mg(along):
+            proposal.doubts.append(
+                f"{item.name}: gravity is {along:.5g}: 1024 counts per g are assumed; if the columns are in mg, replace"
+                ' unit, range and sensitivity by unit = "mg"'
+            )
     return changed
 
 

@@ -57,6 +57,11 @@ is finer than any of these thermometers, and 16 bits then range from -327 to 327
 ZERO_OF_UNIT = {"degC": 0.0, "K": -273.15}
 """Degrees Celsius at 0 of each unit of temperature."""
 
+UNIT_UNKNOWN, SCALE_UNKNOWN = "dps or rad/s", "not determined"
+"""Comments in a proposed map at the unit of a gyroscope's values, or at the sensitivity of its codes, if nothing in the
+recording shows it.
+"""
+
 PA_PER_UNIT = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "mbar": 1e2, "bar": 1e5}
 
 

@@ -257,12 +257,13 @@ def report_of(log: Log) -> ImportReport:
     )
 
 
-def store_report(output: str | PathLike[str], remarks: Sequence[str]) -> ImportReport:
-    """Store the report on an imported log, and the importer's `remarks`, in the log, and return the report; LogError if
-    the log cannot be read or written.
+def store_report(output: str | PathLike[str], remarks: Sequence[str], doubts: Sequence[str] = ()) -> ImportReport:
+    """Store the report on an imported log, and the importer's `remarks` and `doubts`, in the log, and return the
+    report; LogError if the log cannot be read or written.
     """
     with open_log(output) as log:
-        report = report_of(log)._replace(remarks=tuple(remarks))
+        report = report_of(log)
+    report = report._replace(remarks=tuple(remarks), doubts=(*doubts, *report.doubts))
     store_import_report(output, report)
     return report
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.column_names import COMPUTED, INDEX, SPELLINGS, TIME, column_label, unit_in
-from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT, has_no_day
+from imuarray.importers.mapping import NS_PER_UNIT, SCALE_UNKNOWN, UNIT_UNKNOWN, ZERO_OF_UNIT, has_no_day
 from imuarray.importers.plausibility import FEWEST_ROWS, RATES_HZ, USUAL_RATES_HZ
 from imuarray.importers.resolution import (
     RATE_SENSITIVITIES,
@@ -343,7 +343,19 @@ def _counter_lines(name: str, label: str, values: Floats, proposal: Proposal) ->
         else f"   # stated by {printable(proposal.layout.rate_source)[:80]}"
     )
     tick_s = 1 / ((rate_hz or 100.0) * usual)
-    return [f"column = {label}", 'unit = "s"', f"ticks = {tick_s:.12g}{source}", *_restarts(values)]
+    wrap = _restarts(values) or _power_of_two_wrap(values)
+    return [f"column = {label}", 'unit = "s"', f"ticks = {tick_s:.12g}{source}", *wrap]
+
+
+def _power_of_two_wrap(values: Floats) -> list[str]:
+    """Return the line of `[time]` for a counter (n,) of a few bits, which falls to 0 after its largest number; an empty
+    list if it does not.
+    """
+    period = float(values.max()) + 1
+    falls = np.flatnonzero(np.diff(values) < 0)
+    is_counter = period >= 16 and period == 2.0 ** round(ln(period) / ln(2)) and values.min() == 0
+    is_wrap = bool(len(falls)) and bool((values[falls] - values[falls + 1] > period / 2).all())
+    return [f"wraps_at = {period:.0f}"] if is_counter and is_wrap else []
 
 
 _REGULAR_COUNTER = 0.75
@@ -494,7 +506,16 @@ def propose_sensor(
         item.append(UNIT_MG.format(sphere.radius))
     else:
         item += [*codes, *_propose_counts(quantity, gravity_length, largest)]
+    if stated_unit not in UNITS_OF[quantity] and _LIKE_A_UNIT.search(stated_unit):  # type: ignore[index]
+        proposal.doubts.append(
+            f"{item.name}: its columns state the unit {stated_unit!r}, which maps do not have: {item.text('unit')} is"
+            " assumed; enter one that they have, and the factor to it in factor"
+        )
     return item
+
+
+_LIKE_A_UNIT = re.compile(r"[/^\u00b2\u00b0]|-[12]$")
+"""Pattern of text in brackets after a name that is a unit and not a remark, such as (raw) or (body)."""
 
 
 _WEIGHTLESS = 0.7
@@ -506,8 +527,11 @@ _WHOLE = 0.999
 UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
 
 
+UNIT_MILLI = 'unit = "mg"   # ? from gravity, {:.5g}, and the gyroscope in mdps'
+
+
 def is_in_mg(length: float) -> bool:
-    """Return whether the length of gravity in all directions shows that numbers are in mg and not 1024 counts per g."""
+    """Return whether the length of gravity agrees with numbers in mg and not with 1024 counts per g."""
     return abs(ln(length / 1000)) < abs(ln(length / 1024)) and abs(ln(length / 1000)) < _EXACT
 
 
@@ -567,7 +591,7 @@ def _propose_counts(quantity: str, length: float, largest: float) -> list[str]:
         ]
     if quantity == "angular_rate":
         usual_scales = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
-        reason = "not determined: turns at known times are required"
+        reason = f"{SCALE_UNKNOWN}: turns at known times are required"
         return [
             'unit = "dps"',
             "range = 250   # ?",
@@ -579,10 +603,6 @@ def _propose_counts(quantity: str, length: float, largest: float) -> list[str]:
         f"range = {range_gauss:g}   # ?",
         f"sensitivity = {per_gauss:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
     ]
-
-
-UNIT_UNKNOWN = "dps or rad/s"
-"""The units between which a gyroscope's unit is guessed, if its values do not determine it."""
 
 
 def _propose_unit(quantity: str, values: Floats, force_unit: str) -> list[str]:

@@ -30,6 +30,8 @@ from imuarray.importers.cells import (
 from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.mapping import (
     PA_PER_UNIT,
+    SCALE_UNKNOWN,
+    UNIT_UNKNOWN,
     ZERO_OF_UNIT,
     BarometerTable,
     LogColumn,
@@ -48,7 +50,7 @@ from imuarray.importers.mapping import (
 from imuarray.importers.resolution import FULL_SPAN, SAMPLE_ROWS, Resolution, bits_of, resolution_of
 from imuarray.importers.row_order import RowOrder, count_out
 from imuarray.importers.sources import RecordingRows, Reference, open_rows
-from imuarray.log import Block, LogWriter, Stimulus
+from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import (
     ARRIVAL,
     COUNT_BITS,
@@ -67,8 +69,13 @@ from imuarray.units import SI_PER_UNIT, UNITS_OF
 VANISHED = 0.3
 """Difference of neighbouring values (rms, in counts) below which the noise of a column is lost by rounding."""
 
-_GUESSED_RATE = re.compile(r"^\s*rate_hz\s*=[^#\n]*#\s*\?", re.MULTILINE)
-"""Pattern of a rate that `imuarray import --guess` marked as doubtful."""
+_GUESSED_TIME = re.compile(r"^\s*(rate_hz|ticks)\s*=[^#\n]*#\s*\?", re.MULTILINE)
+"""Pattern of a rate, or of the duration of a count, that `imuarray import --guess` marked as doubtful."""
+
+_GUESSED_SCALE = re.compile(
+    rf"^\s*(unit|sensitivity)\s*=[^#\n]*#\s*\?\s*(?:{UNIT_UNKNOWN}|{SCALE_UNKNOWN})", re.MULTILINE
+)
+"""Pattern of a gyroscope's unit or sensitivity that `imuarray import --guess` could not determine."""
 
 
 def import_table(
@@ -109,11 +116,6 @@ def import_table(
                 stream.add(block, places)
         recording.finish(str(source), str(map_path), up)
         remarks = [*rows.remarks, *recording.remarks(learnt)]
-        if table_map.clock.rate_hz is not None and _GUESSED_RATE.search(read_text(map_path)):
-            remarks.append(
-                f"the rate of {table_map.clock.rate_hz:g} rows a second, from which all times follow, is a guess; if it"
-                " is true, remove the question mark at rate_hz in the map"
-            )
         remarks += flag_clipped(log, [header for header in headers if header.is_triad])
     rows_of_sensor = {name: count for stream in recording.streams for name, count in stream.rows_of.items()}
     return ImportSummary(
@@ -123,7 +125,36 @@ def import_table(
         recording.seconds,
         same_rows=len(set(rows_of_sensor.values())) == 1,
         remarks=tuple(remarks),
+        doubts=tuple(_guesses(read_text(map_path), table_map, output)),
     )
+
+
+def _guesses(map_text: str, table_map: TableMap, output: str | PathLike[str]) -> Iterator[str]:
+    """Yield a sentence on each guess of the map, marked with "# ?", that changes all numbers: the time of the rows, and
+    the scale of gyroscopes, unless the rotation of gravity in the log `output` shows it.
+    """
+    clock = table_map.clock
+    if match := _GUESSED_TIME.search(map_text):
+        what = (
+            f"the rate of {clock.rate_hz:g} rows a second"
+            if match[1] == "rate_hz"
+            else f"the duration of a count of the time column, {clock.ticks:g} {clock.unit}"
+        )
+        yield f"{what}, from which all times follow, is a guess; {_CONFIRM.format(match[1])}"
+    scales = [match[1] for match in _GUESSED_SCALE.finditer(map_text)]
+    if not scales:
+        return
+    from imuarray.importers.plausibility import turns_of
+
+    with open_log(output) as log:
+        if turns_of(log) is not None:
+            return
+    keys = listed(list(dict.fromkeys(scales)))
+    names = listed([sensor.name for sensor in table_map.sensor if sensor.quantity == "angular_rate"])
+    yield f"{names}: the scale of the gyroscope is a guess, and no rotation shows it; {_CONFIRM.format(keys)}"
+
+
+_CONFIRM = "if it is true, remove the question mark at {} in the map"
 
 
 def _import_format(

@@ -36,11 +36,12 @@ range = {range}
 """
 SI = {  # of one unit: the definitions of g (CGPM 1901), degree, gauss
     "g": 9.80665, "mg": 9.80665e-3, "m/s2": 1.0, "dps": np.pi / 180, "deg/s": np.pi / 180, "mdps": np.pi / 180e3,
-    "rad/s": 1.0, "mrad/s": 1e-3, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9,
+    "ft/s2": 0.3048, "deg/h": np.pi / 180 / 3600, "rpm": 2 * np.pi / 60, "rad/s": 1.0, "mrad/s": 1e-3,
+    "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9,
 }  # fmt: skip
 QUANTITIES = {
-    "specific_force": (("g", "mg", "m/s2"), 2048.0, "g"),
-    "angular_rate": (("dps", "deg/s", "mdps", "rad/s", "mrad/s"), 16.4, "dps"),
+    "specific_force": (("g", "mg", "m/s2", "ft/s2"), 2048.0, "g"),
+    "angular_rate": (("dps", "deg/s", "mdps", "rad/s", "mrad/s", "deg/h", "rpm"), 16.4, "dps"),
     "magnetic_field": (("gauss", "mgauss", "T", "mT", "uT", "nT"), 1090.0, "gauss"),
 }
 

@@ -43,6 +43,26 @@ CASES: dict[str, tuple[str, list[str]]] = {
         ),
         ['unit = "mg"\n', 'unit = "mdps"\n'],
     ),
+    "whole numbers of mg without a unit, and of mdps": (
+        text_of(
+            "t,ax,ay,az,gx,gy,gz", np.rint(COUNTS * np.array([1000 / 4096] * 3 + [1000 / 131] * 3)), form="{:+.0f}"
+        ),
+        ['unit = "mg"   # ? from gravity', 'unit = "mdps"   # ? from the size'],
+    ),
+    "degrees an hour and feet": (
+        text_of(
+            "t [s],ax [ft/s^2],ay [ft/s^2],az [ft/s^2],wx [deg/h],wy [deg/h],wz [deg/h]",
+            np.hstack([SI[:, :3] / 0.3048, np.degrees(SI[:, 3:]) * 3600]),
+        ),
+        ['unit = "ft/s2"\n', 'unit = "deg/h"\n'],
+    ),
+    "revolutions a minute": (
+        text_of(
+            "t [s],ax [g],ay [g],az [g],wx [rpm],wy [rpm],wz [rpm]",
+            np.hstack([SI[:, :3] / G, np.degrees(SI[:, 3:]) / 6]),
+        ),
+        ['unit = "rpm"\n'],
+    ),
     "SI units behind underscores": (
         text_of("t_s,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s", SI),
         ['unit = "m/s2"\n', 'unit = "rad/s"\n'],
@@ -329,3 +349,63 @@ def test_a_force_in_gal_may_be_taken_for_mg_and_the_map_says_so(tmp_path: Path) 
     assert "1 g in gal (cm/s2) would be 980.7" in guess_map(source)
     source.write_text(text_of("t,ax,ay,az", COUNTS[:, :3] / 4096 * 1000, form="{:.2f}"))
     assert "in gal (cm/s2)" not in guess_map(source)
+
+
+@pytest.mark.slow
+def test_sensors_whose_columns_have_the_same_names_are_all_imported(tmp_path: Path) -> None:
+    """The second board is mounted upside down, so that the signs show which columns were taken."""
+    both = np.hstack([SI, -SI])
+    (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz,ax,ay,az,gx,gy,gz", both))
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "data.csv"))
+    assert (
+        main(
+            ["import", str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+        )
+        == 0
+    )
+    with open_log(tmp_path / "run.h5") as log:
+        assert list(log.sensors) == ["Acc", "Acc2", "Gyro", "Gyro2"]
+        for name, first in (("Acc", 0), ("Acc2", 6)):
+            value = log[name].counts[:] / log[name].sensitivity * G
+            np.testing.assert_allclose(value, both[:, first : first + 3], atol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_counter_of_eight_bits_wraps(tmp_path: Path) -> None:
+    """Rows 700 and 701 are missing; the rest is at 100 Hz, as assumed."""
+    rows = np.delete(np.arange(2000), [700, 701])
+    lines = (f"{row % 256}," + ",".join(map(str, COUNTS[row].tolist())) for row in rows.tolist())
+    (tmp_path / "data.csv").write_text("seq,ax,ay,az,gx,gy,gz\n" + "\n".join(lines) + "\n")
+    text = guess_map(tmp_path / "data.csv")
+    assert "ticks = 0.01   # ? 100 rows a second\nwraps_at = 256\n" in text
+    assert "restarts" not in text
+    (tmp_path / "map.toml").write_text(text)
+    assert (
+        main(
+            ["import", str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+        )
+        == 0
+    )
+    with open_log(tmp_path / "run.h5") as log:
+        np.testing.assert_array_equal(log["Acc"].time[:], rows * 10_000_000)
+
+
+@pytest.mark.slow
+def test_whole_numbers_that_may_be_in_mg_are_doubted(tmp_path: Path) -> None:
+    """Gravity is 1000 in one direction: mg, or 1024 counts per g of a part that is 2 % off."""
+    (tmp_path / "data.csv").write_text(
+        text_of("t,ax,ay,az,gx,gy,gz", np.rint(COUNTS * np.array([1000 / 4096] * 3 + [1.0] * 3)), form="{:.0f}")
+    )
+    text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
+    assert "sensitivity = 1024 # ? from gravity: 1000 counts" in text
+    assert "# ? Acc: gravity is 1000: 1024 counts per g are assumed; if the columns are in mg, replace" in text
+
+
+@pytest.mark.slow
+def test_a_stated_unit_that_maps_do_not_have_is_doubted(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_text(
+        text_of("t [s],ax [yd/s^2],ay [yd/s^2],az [yd/s^2],wx (raw),wy (raw),wz (raw)", SI / 0.9144)
+    )
+    text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
+    assert "Acc: its columns state the unit 'yd/s^2', which maps do not have: m/s2 is assumed; enter one" in text
+    assert "Gyro: its columns state" not in text

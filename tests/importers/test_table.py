@@ -157,10 +157,41 @@ def test_a_rate_replaces_a_column_of_time(tmp_path: Path) -> None:
 
 def test_a_guessed_rate_is_reported_until_its_mark_is_removed(tmp_path: Path) -> None:
     rows = "1,2,3\n4,5,6\n7,8,9\n"
-    (remark,) = write(tmp_path, rows, RATE.replace("= 100", "= 100   # ? enter the true rate")).remarks
-    assert remark.startswith("the rate of 100 rows a second, from which all times follow, is a guess;")
+    (doubt,) = write(tmp_path, rows, RATE.replace("= 100", "= 100   # ? enter the true rate")).doubts
+    assert doubt.startswith("the rate of 100 rows a second, from which all times follow, is a guess;")
     (tmp_path / "out.h5").unlink()
-    assert not write(tmp_path, rows, RATE.replace("= 100", "= 100   # stated by the header")).remarks
+    assert not write(tmp_path, rows, RATE.replace("= 100", "= 100   # stated by the header")).doubts
+
+
+def test_a_guessed_duration_of_a_count_is_reported_until_its_mark_is_removed(tmp_path: Path) -> None:
+    rows, table_map = "t,x,y,z\n0,1,2,3\n200,4,5,6\n", NAMED.replace('unit = "s"', 'unit = "s"\nticks = 0.0001', 1)
+    (doubt,) = write(tmp_path, rows, table_map.replace("0.0001", "0.0001   # ? 50 rows a second")).doubts
+    assert doubt == (
+        "the duration of a count of the time column, 0.0001 s, from which all times follow, is a guess; if it is true,"
+        " remove the question mark at ticks in the map"
+    )
+    (tmp_path / "out.h5").unlink()
+    assert not write(tmp_path, rows, table_map).doubts
+
+
+@pytest.mark.parametrize(
+    ("line", "key"),
+    [
+        ("sensitivity = 131   # ? not determined: turns at known times are required", "sensitivity"),
+        ('unit = "dps"   # ? dps or rad/s: the import report compares rotations', "unit"),
+    ],
+)
+def test_a_guessed_scale_of_a_gyroscope_is_reported_until_its_mark_is_removed(
+    tmp_path: Path, line: str, key: str
+) -> None:
+    lines = {"sensitivity": "sensitivity = 131", "unit": 'unit = "dps"'} | {key: line}
+    table_map = RATE.replace("specific_force", "angular_rate").replace("range = 16", "range = 250")
+    table_map = table_map.replace("sensitivity = 512", lines["sensitivity"]).replace('unit = "g"', lines["unit"])
+    (doubt,) = write(tmp_path, "1,2,3\n4,5,6\n", table_map).doubts
+    assert doubt.startswith("A: the scale of the gyroscope is a guess, and no rotation shows it; if it is true, remove")
+    assert doubt.endswith(f"at {key} in the map")
+    (tmp_path / "out.h5").unlink()
+    assert not write(tmp_path, "1,2,3\n4,5,6\n", table_map.replace("   # ?", "   #")).doubts
 
 
 def test_a_rate_does_not_drift(tmp_path: Path) -> None:
