@@ -17,6 +17,7 @@ from imuarray.commands.options import (
     parameter,
     print_json,
     refuse_existing,
+    report_doubts_of,
     share_progress,
     takes,
 )
@@ -92,6 +93,7 @@ def command(options: ExportOptions) -> None:
             force=options.force,
             progress=progress,
         )
+    report_doubts_of(options.source)
     if options.as_json:
         files = [str(file) for file in summary.files]
         print_json({"source": str(options.source), **summary._asdict(), "files": files})

@@ -26,6 +26,7 @@ from imuarray.commands.options import (
     output_option,
     parameter,
     print_json,
+    report_doubts_of,
     seed_option,
     takes,
     workers_option,
@@ -134,6 +135,7 @@ def diagnose(options: DiagnoseOptions) -> None:
         )
     if output is not None:
         _write(output, diagnosis)
+    report_doubts_of(*options.logs, *options.against)
     _print_diagnosis(diagnosis, options.as_json)
 
 

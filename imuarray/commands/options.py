@@ -300,6 +300,16 @@ def report_doubts(log: Log) -> None:
         click.echo(f"imuarray: {encodable(str(log.path))}: {log.import_doubts}", err=True)
 
 
+def report_doubts_of(*paths: Path) -> None:
+    """Print the doubts about the import of these files, as `report_doubts`; a file that is no log has none."""
+    from imuarray.errors import ImuArrayError
+    from imuarray.log import Log
+
+    for path in paths:
+        with suppress(ImuArrayError, OSError), Log(path) as log:
+            report_doubts(log)
+
+
 def terminal_columns() -> int:
     """Return the number of usable columns of the terminal of standard error (79 without a terminal). The last column
     stays free, because some terminals begin a new line after it.

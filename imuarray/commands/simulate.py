@@ -27,6 +27,7 @@ from imuarray.commands.options import (
     rate_option,
     refuse_existing,
     refuse_other_suffix,
+    report_doubts,
     seed_option,
     takes,
 )
@@ -246,6 +247,7 @@ def _runs(stack: ExitStack, options: SimulateOptions, output: Path) -> tuple[Log
         array = array.only(options.only) if options.only else array
     else:
         log = stack.enter_context(open_log(options.like))
+        report_doubts(log)
         context = click.get_current_context()
         if not _is_given(context, "experiment"):
             return log, [run_like(log, output, options.only, options.boot)]

@@ -96,11 +96,21 @@ def test_fuse_states_contradictions_and_doubts_of_the_import(
     assert output.err.splitlines()[:2] == [f"imuarray: {text}" for text in fused.remarks]
 
 
-@pytest.mark.parametrize("command", [["characterise"], ["calibrate", "noise", "-o", "cal.toml"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["characterise"],
+        ["calibrate", "noise", "-o", "cal.toml"],
+        ["export", "-o", "a.csv"],
+        pytest.param(["simulate", "--like", "-o", "b.h5"], marks=pytest.mark.slow),
+        pytest.param(["gap", "diagnose", "--replicates", "40"], marks=pytest.mark.slow),
+    ],
+)
 def test_commands_that_derive_figures_state_the_doubts_of_the_import(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     store_import_report(log_of(Path("a.h5"), {"A": tilted(0)}, 400), ImportReport(doubts=("A: a doubt",)))
-    main([*command[:2], "a.h5", *command[2:]])
+    place = command.index("-o") if "-o" in command else 2
+    main([*command[:place], "a.h5", *command[place:]])
     assert "imuarray: a.h5: its import raised 1 doubt: `imuarray info a.h5` lists them" in capsys.readouterr().err
