@@ -15,6 +15,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
+from imuarray.calibrate.model import BIAS, SensorDescription
 from imuarray.calibrate.runs import NO_RANGES
 from imuarray.calibrate.start_up import start_up_states
 from imuarray.errors import CalibrationError, FusionError
@@ -121,6 +122,11 @@ def prepare_inputs(
                 " `imuarray calibrate noise` on that log and pass the file as calibration, or choose a technique"
                 " that needs no noise (mean, opposed)"
             ) from None
+    if technique != OPTIMAL and (unknown := _biases_outside(sensors, calibration)):
+        remarks.append(
+            f"the biases of {listed(unknown)} were not measured: covariances do not contain them, except those of"
+            f" {OPTIMAL}, which allows for usual biases"
+        )
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
         calibration,
@@ -197,6 +203,12 @@ def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str
             f"{calibration_file}: contains {', '.join(calibration.sensors) or 'no sensor'},"
             f" but none of {log.path}: {', '.join(fused)}"
         )
+
+
+def _biases_outside(sensors: Sequence[SensorDescription], calibration: Calibration) -> list[str]:
+    """Return the sensors of known noise whose bias was not measured: their covariances are too small, not unknown."""
+    known = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
+    return [name for name, unit in known.items() if unit.noise_lsb is not None and BIAS not in unit.measured()]
 
 
 def _apply_start_states(

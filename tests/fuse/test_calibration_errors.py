@@ -17,6 +17,7 @@ from imuarray.calibrate.model import BIAS, Drift, Thermal, TurnOn
 from imuarray.fuse import compare, fuse
 from imuarray.fuse.comparison import Score
 from imuarray.fuse.frames import axes_of, matrices
+from imuarray.fuse.fusion import prepare_inputs
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
@@ -235,3 +236,22 @@ def test_rotations_are_about_the_named_axes() -> None:
     turns = (made[:-1].inv() * made[1:]).as_rotvec()
     assert np.abs(turns[:, 1]).max() < 1e-9
     assert isinstance(made, Rotation)
+
+
+@pytest.mark.parametrize(("technique", "named"), [("mean", True), ("optimal", False)])
+def test_biases_that_are_not_in_the_covariance_are_named(write_run: WriteRun, technique: str, named: bool) -> None:
+    """Noise alone was measured; a sensor without any noise has no covariance, and one with a bias has it in it."""
+    known = calibration(PARTS).sensors
+    with_bias = {"A": known["A"], "B": replace(known["B"], bias_sem_lsb=np.ones(3))}
+    with open_log(write_run(PARTS, frames=100)) as log:
+        remarks = prepare_inputs(log, Calibration(with_bias), technique=technique).remarks
+        assert [text for text in remarks if "bias" in text] == (
+            [
+                "the biases of A were not measured: covariances do not contain them, except those of optimal, which"
+                " allows for usual biases"
+            ]
+            if named
+            else []
+        )
+        if technique == "mean":
+            assert not prepare_inputs(log, Calibration(), technique=technique).remarks
