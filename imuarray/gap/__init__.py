@@ -46,7 +46,8 @@ from its population and theta fitted again to each. It thus includes the uncerta
 
 **Normal scores** (`statistics.tails`). Scores of levels and of rare rows have heavy tails, and would be the largest of
 all scores. Each score is replaced by the normal deviate with the same tail probability, by a tail of Student's t that
-is fitted to the replicates; the scores of each replicate are converted with the tails of the others.
+is fitted to the replicates; the scores of each replicate are converted with the tails of the others. If more scores
+are far beyond this tail, such as those of stale rows that a few replicates have, they have an exponential tail.
 
 **Motions without an instrument** are estimated from the sensors themselves (`recording.movement`), less the noise of
 their mean. The mean is a robust one (Huber) of the readings without the rotational forces at the noted positions. Where

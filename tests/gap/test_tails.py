@@ -4,10 +4,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from imuarray.gap.inference.assessment import p_value
 from imuarray.gap.statistics.catalogue import Key
-from imuarray.gap.statistics.tails import FREEDOMS, HEAVIER, NO_TAILS, Tail, Tails, normal_scores_by_others, tails_of
+from imuarray.gap.statistics.tails import (
+    FREEDOMS,
+    HEAVIER,
+    NO_TAILS,
+    THRESHOLD,
+    RareTail,
+    Tail,
+    Tails,
+    normal_scores_by_others,
+    tails_of,
+)
 
 REPLICATES = 41
 
@@ -61,6 +72,58 @@ def test_a_deviation_among_heavy_tails_is_detected() -> None:
     normal = np.abs(normal_scores_by_others(scores, [*keys(60, "noise"), *keys(60, "mean")])).max(axis=1)
     assert p_value(float(largest[0]), largest[1:]) > 0.05
     assert p_value(float(normal[0]), normal[1:]) == pytest.approx(1 / REPLICATES)
+
+
+def mixture(stream: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Return scores (b, count): zero, and one in 30 of 5 to 15."""
+    shape = (REPLICATES, count)
+    return np.where(stream.random(shape) < 1 / 30, stream.uniform(5.0, 15.0, shape), 0.0)
+
+
+def test_a_deviation_beside_a_mixture_is_detected() -> None:
+    """One of 60 normal scores of a recording is 6. A rare part of another statistic reaches 15 in most replicates."""
+    stream = np.random.default_rng(6)
+    scores = np.concatenate([stream.normal(size=(REPLICATES, 60)), mixture(stream, 60)], axis=1)
+    scores[0, 60:] = 0.0
+    scores[0, 7] = 6.0
+    largest = np.abs(scores).max(axis=1)
+    both = [*keys(60, "noise"), *keys(60, "stale")]
+    normal = np.abs(normal_scores_by_others(scores, both)).max(axis=1)
+    assert p_value(float(largest[0]), largest[1:]) > 0.5
+    assert p_value(float(normal[0]), normal[1:]) == pytest.approx(1 / REPLICATES)
+    tails = tails_of(scores[1:], both)
+    assert set(tails.mixtures) == {("stale", "G1")}
+    assert tails.normal(scores[0], both)[7] == pytest.approx(normal[0], rel=0.2)
+
+
+def test_the_rare_part_of_a_mixture_has_its_share() -> None:
+    """One in 30 of 4000 scores is 3 or more, with a mean excess of 3. The exponential tail has the share 1/30 exp(-x/3)
+    of excesses of x: 1/3000, which is a normal score of 3.403, at x = 3 ln 100. Smaller scores keep their order.
+    """
+    stream = np.random.default_rng(7)
+    scores = np.where(stream.random((40, 100)) < 1 / 30, 3.0 + stream.exponential(3.0, (40, 100)), 0.0)
+    rare = tails_of(scores, keys(100, "stale")).mixtures["stale", "G1"]
+    assert rare.threshold == THRESHOLD == 3.0
+    assert rare.share == pytest.approx(1 / 30, rel=0.3)
+    assert rare.mean_excess == pytest.approx(3.0, rel=0.3)
+    sizes = np.array([0.0, 2.9, 3.1, 5.0, 3 + 3 * np.log(100), 40.0])
+    reduced = RareTail(3.0, 1 / 30, 3.0).reduced(sizes, sizes)
+    np.testing.assert_allclose(reduced[:5], [0.0, 2.9, 3.0, 3.0, 3.403], atol=1e-3)
+    assert reduced[5] > 4.5
+
+
+@pytest.mark.slow
+def test_p_values_beside_a_mixture_are_uniform() -> None:
+    """Of 400 recordings like their replicates, p is 1/20 or less in a twentieth: 20, and at most 35 with a probability
+    of 0.999 (binomial).
+    """
+    both, detected = [*keys(20, "noise"), *keys(20, "stale")], 0
+    for seed in range(400):
+        stream = np.random.default_rng((8, seed))
+        scores = np.concatenate([stream.normal(size=(REPLICATES, 20)), mixture(stream, 20)], axis=1)
+        largest = np.abs(normal_scores_by_others(scores, both)).max(axis=1)
+        detected += p_value(float(largest[0]), largest[1:]) <= 0.05
+    assert 8 <= detected <= 35
 
 
 @pytest.mark.slow

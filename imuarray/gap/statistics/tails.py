@@ -7,15 +7,21 @@ tail probability.
 
 The tail is that of Student's t, fitted to the scores of one statistic of one sensor over phases, axes and replicates:
 the scale is fitted to their 90 % quantile, and the degrees of freedom are the most probable of a few values.
+
+Some statistics are mixtures: usually near zero and sometimes far from it, such as the share of stale rows of a poll
+that is hardly slower than the sensor, or a slope that a few fits miss. If more scores are beyond a threshold than this
+tail allows, those beyond it have an exponential one, with the share and the mean excess of all scores of the other
+campaigns (peaks over threshold: Pickands, Ann. Stat. 3, 1975).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import gammaln, ndtri, stdtr, stdtrit
+from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 
 from imuarray.arrays import Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
@@ -52,6 +58,17 @@ that varies by less than its resolution, has smaller scores, which do not determ
 
 _LEAST_SHARE = 1e-300
 
+THRESHOLD = 3.0
+"""Normal score beyond which there may be a second part of a mixture."""
+
+_SHARE = float(ndtr(-THRESHOLD))
+"""Share of scores beyond the threshold if there is no second part."""
+
+_MEAN_EXCESS = 0.3
+"""Mean amount by which normal scores exceed the threshold, to one digit. It is the least one that is assumed, and
+counts as one more score of a second part.
+"""
+
 
 @dataclass(frozen=True)
 class Tail:
@@ -65,22 +82,45 @@ class Tail:
         share = np.maximum(stdtr(self.freedom, -sizes / self.scale), _LEAST_SHARE)
         return np.asarray(-ndtri(share))
 
+    @property
+    def threshold(self) -> float:
+        """The absolute score with the normal score `THRESHOLD`."""
+        return float(-stdtrit(self.freedom, _SHARE)) * self.scale
+
+
+@dataclass(frozen=True)
+class RareTail:
+    """The tail of a mixture: the `share` of absolute scores beyond a `threshold`, and their mean excess."""
+
+    threshold: float
+    share: float
+    mean_excess: float
+
+    def reduced(self, sizes: Floats, normal: Floats) -> Floats:
+        """Return the `normal` scores (k,) of absolute scores `sizes` (k,), reduced beyond the threshold to those of the
+        same tail probability, but not below `THRESHOLD`: the order is kept.
+        """
+        excess = np.maximum(np.nan_to_num(sizes) - self.threshold, 0.0)
+        shares = np.maximum(self.share * np.exp(-excess / self.mean_excess), _LEAST_SHARE)
+        return np.where(excess > 0, np.minimum(normal, np.maximum(-ndtri(shares), THRESHOLD)), normal)
+
 
 @dataclass(frozen=True)
 class Tails:
-    """Tails by probe and sensor; scores of probes and sensors without a tail are not changed."""
+    """Tails by probe and sensor, and those of mixtures; scores of probes and sensors without a tail are not changed."""
 
     by_statistic: Mapping[tuple[str, str], Tail]
+    mixtures: Mapping[tuple[str, str], RareTail] = field(default_factory=dict)
 
     def normal(self, scores: Floats, keys: Sequence[Key]) -> Floats:
         """Return the normal scores (m,) of the scores (m,) of the keys, with their signs."""
         values = np.array(scores)
         for statistic, places in _statistics(keys).items():
-            if statistic in self.by_statistic:
-                statistic_scores = scores[places]
-                values[places] = np.copysign(
-                    self.by_statistic[statistic].normal(np.abs(statistic_scores)), statistic_scores
-                )
+            sizes = np.abs(scores[places])
+            normal = self.by_statistic[statistic].normal(sizes) if statistic in self.by_statistic else sizes
+            if statistic in self.mixtures:
+                normal = self.mixtures[statistic].reduced(sizes, normal)
+            values[places] = np.copysign(normal, scores[places])
         return values
 
 
@@ -90,30 +130,70 @@ NO_TAILS = Tails({})
 
 def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
     """Return the tails fitted to the scores (b, m) of replicates without a gap."""
-    fits = {statistic: _fit(np.abs(chance[:, places])) for statistic, places in _statistics(keys).items()}
-    return Tails(
-        {name: fit.tail(int((fit.density.sum(axis=1) + _PRIOR).argmax())) for name, fit in fits.items() if fit}
-    )
+    by_statistic: dict[tuple[str, str], Tail] = {}
+    mixtures: dict[tuple[str, str], RareTail] = {}
+    for statistic, places in _statistics(keys).items():
+        sizes = np.abs(chance[:, places])
+        tail = None
+        if fit := _fit(sizes):
+            tail = fit.tail(int((fit.density.sum(axis=1) + _PRIOR).argmax()))
+            by_statistic[statistic] = tail
+        if rare := _rare_tail(tail, _excesses(tail, sizes).sum(axis=0)):
+            mixtures[statistic] = rare
+    return Tails(by_statistic, mixtures)
 
 
 def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
     """Return the normal scores (b, m) of campaigns with scores (b, m), each by the degrees of freedom that are most
-    probable for the others and the common scale: if all campaigns have the same distribution, each is still equally
-    likely to be the most extreme.
+    probable for the others, by the common scale, and by the scores of the others beyond the threshold: if all campaigns
+    have the same distribution, each is still equally likely to be the most extreme.
     """
     values = np.array(scores)
     for places in _statistics(keys).values():
-        statistic_scores = scores[:, places]
-        fit = _fit(np.abs(statistic_scores))
-        if fit is None:
-            continue
-        best = (fit.density.sum(axis=1, keepdims=True) - fit.density + _PRIOR[:, None]).argmax(axis=0)
-        for at in np.unique(best).tolist():
-            rows = best == at
-            values[np.ix_(rows, places)] = np.copysign(
-                fit.tail(at).normal(np.abs(statistic_scores[rows])), statistic_scores[rows]
-            )
+        sizes = np.abs(scores[:, places])
+        normal = _normal_by_others(sizes)
+        values[:, places] = np.copysign(normal, scores[:, places])
     return values
+
+
+def _normal_by_others(sizes: Floats) -> Floats:
+    """Return the absolute normal scores (b, k) of the absolute scores (b, k) of one statistic."""
+    fit, normal = _fit(sizes), np.array(sizes)
+    tails: list[Tail | None] = [None] * len(sizes)
+    if fit is not None:
+        best = (fit.density.sum(axis=1, keepdims=True) - fit.density + _PRIOR[:, None]).argmax(axis=0)
+        tails = [fit.tail(at) for at in best.tolist()]
+        for at in np.unique(best).tolist():
+            normal[best == at] = fit.tail(at).normal(sizes[best == at])
+    excesses = np.concatenate([_excesses(tail, row[None]) for tail, row in zip(tails, sizes, strict=True)])
+    for row, tail in enumerate(tails):
+        rare = _rare_tail(tail, excesses.sum(axis=0) - excesses[row])
+        if rare is not None:
+            normal[row] = rare.reduced(sizes[row], normal[row])
+    return normal
+
+
+def _excesses(tail: Tail | None, sizes: Floats) -> Floats:
+    """Return for each of b campaigns (b, 3) the numbers of known absolute scores (b, k) and of those beyond the
+    threshold of the tail, and the sum of the excesses of the latter.
+    """
+    excess = np.maximum(np.nan_to_num(sizes) - (tail.threshold if tail else THRESHOLD), 0.0)
+    return np.stack([np.isfinite(sizes).sum(axis=1), (excess > 0).sum(axis=1), excess.sum(axis=1)], axis=1)
+
+
+def _rare_tail(tail: Tail | None, excesses: Floats) -> RareTail | None:
+    """Return the tail of a mixture for a sum (3,) of `_excesses`; None if no more scores are beyond the threshold than
+    chance (three standard deviations and two scores) allows with twice the usual share. If no tail could be fitted,
+    nearly all scores are zero, and the usual share is 0.
+    """
+    known, beyond, total = excesses.tolist()
+    usual = 2 * known * _SHARE if tail else 0.0
+    if beyond <= usual + 3 * math.sqrt(usual) + 2:
+        return None
+    least = _MEAN_EXCESS * (tail.scale if tail else 1.0)
+    return RareTail(
+        tail.threshold if tail else THRESHOLD, (beyond + 1) / (known + 2), max((total + least) / (beyond + 1), least)
+    )
 
 
 @dataclass(frozen=True)
