@@ -166,6 +166,8 @@ def _choice_text(value: float | str, choices: tuple[Any, ...]) -> str:
 
 
 def _triple(value: Any, name: str) -> Triple:
+    if type(value) is tuple and len(value) == 3 and all(type(number) is float and number == number for number in value):
+        return value  # as usual: the general way takes ten times as long
     values = np.broadcast_to(np.asarray(value, float), (3,)) if np.size(value) in (1, 3) else np.array([np.nan])
     if np.isnan(values).any():
         raise ValueError(f"{name}: {value}; a number or one for each of x, y, z is required")

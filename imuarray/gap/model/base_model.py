@@ -798,7 +798,7 @@ def _filter_of(
     cutoffs_hz = [
         effect.cutoff_hz
         for effect, misfit in zip(filters, misfits, strict=True)
-        if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
+        if misfit < near and _form_of(effect) == _form_of(best)
     ]
     by_fit = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
     form_error = _form_error(measured, best, dict(zip(filters, expected, strict=True)))
@@ -811,12 +811,17 @@ def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandw
     fit of the `best` filter, at most `_LARGEST_FORM_ERROR`: the response of a chip's filter is not exactly that of any
     of these filters.
     """
-    family = {other.cutoff_hz: other for other in filters if replace(other, cutoff_hz=best.cutoff_hz) == best}
+    family = {other.cutoff_hz: other for other in filters if _form_of(other) == _form_of(best)}
     low_hz, high_hz = min(family), max(family)
     change = measured.mean((filters[family[high_hz]] - filters[family[low_hz]])[:, :_LAGS])
     rest = measured.mean(measured.beyond(filters[best]))
     slope = float(np.linalg.norm(change)) / math.log(high_hz / low_hz)
     return min(float(np.linalg.norm(rest)) / slope, _LARGEST_FORM_ERROR) if slope > 0 else 0.0
+
+
+def _form_of(effect: Bandwidth) -> tuple[float, float, float]:
+    """Return what filters that differ only in their cutoff have in common."""
+    return effect.poles, effect.sampled_hz, effect.warped
 
 
 def _is_forgotten(correlations: Sequence[float], rows: float) -> bool:

@@ -16,14 +16,13 @@ campaigns (peaks over threshold: Pickands, Ann. Stat. 3, 1975).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 
-from imuarray.arrays import Floats, Indices
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 
 FREEDOMS = (4.0, 6.0, 8.0, 12.0, 20.0, 40.0)
@@ -43,21 +42,6 @@ deviations into a normal score of 3.9. With the prior 60 of 72 cases with a mech
 QUANTILE = 0.9
 """Quantile of the absolute scores to which the scale of a tail is fitted."""
 
-_FREEDOM = np.array(FREEDOMS)
-_AT_QUANTILE = stdtrit(_FREEDOM, (1 + QUANTILE) / 2)
-_PRIOR = HEAVIER * np.log10(_FREEDOM / _FREEDOM.max())
-_CONSTANT = gammaln((_FREEDOM + 1) / 2) - gammaln(_FREEDOM / 2) - np.log(_FREEDOM * np.pi) / 2
-
-_LEAST_SIZE = 0.05
-"""Absolute score at the quantile below which no tail is fitted: the statistic has nearly always the same value."""
-
-_LEAST_SCALE = 0.5
-"""Least scale of a tail. A statistic that has one value in nearly all replicates (rows with a flag, absent codes), or
-that varies by less than its resolution, has smaller scores, which do not determine the scale.
-"""
-
-_LEAST_SHARE = 1e-300
-
 THRESHOLD = 3.0
 """Normal score beyond which there may be a second part of a mixture."""
 
@@ -68,6 +52,23 @@ _MEAN_EXCESS = 0.3
 """Mean amount by which normal scores exceed the threshold, to one digit. It is the least one that is assumed, and
 counts as one more score of a second part.
 """
+
+_FREEDOM = np.array(FREEDOMS)
+_AT_QUANTILE = stdtrit(_FREEDOM, (1 + QUANTILE) / 2)
+_PRIOR = HEAVIER * np.log10(_FREEDOM / _FREEDOM.max())
+_CONSTANT = gammaln((_FREEDOM + 1) / 2) - gammaln(_FREEDOM / 2) - np.log(_FREEDOM * np.pi) / 2
+
+_AT_THRESHOLD = -stdtrit(_FREEDOM, _SHARE)
+
+_LEAST_SIZE = 0.05
+"""Absolute score at the quantile below which no tail is fitted: the statistic has nearly always the same value."""
+
+_LEAST_SCALE = 0.5
+"""Least scale of a tail. A statistic that has one value in nearly all replicates (rows with a flag, absent codes), or
+that varies by less than its resolution, has smaller scores, which do not determine the scale.
+"""
+
+_LEAST_SHARE = 1e-300
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,6 @@ class Tail:
         """Return the normal scores with the same tail probabilities as the absolute scores `sizes`."""
         share = np.maximum(stdtr(self.freedom, -sizes / self.scale), _LEAST_SHARE)
         return np.asarray(-ndtri(share))
-
-    @property
-    def threshold(self) -> float:
-        """The absolute score with the normal score `THRESHOLD`."""
-        return float(-stdtrit(self.freedom, _SHARE)) * self.scale
 
 
 @dataclass(frozen=True)
@@ -134,12 +130,15 @@ def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
     mixtures: dict[tuple[str, str], RareTail] = {}
     for statistic, places in _statistics(keys).items():
         sizes = np.abs(chance[:, places])
-        tail = None
-        if fit := _fit(sizes):
-            tail = fit.tail(int((fit.density.sum(axis=1) + _PRIOR).argmax()))
-            by_statistic[statistic] = tail
-        if rare := _rare_tail(tail, _excesses(tail, sizes).sum(axis=0)):
-            mixtures[statistic] = rare
+        threshold, scale = THRESHOLD, 1.0
+        fit = _fit(sizes)
+        if fit is not None:
+            best = int((fit.density.sum(axis=1) + _PRIOR).argmax())
+            by_statistic[statistic] = fit.tail(best)
+            threshold, scale = float(fit.thresholds[best]), float(fit.scales[best])
+        excesses = _excesses(sizes, threshold).sum(axis=0)
+        if _is_mixture(excesses, fit):
+            mixtures[statistic] = _rare_tail(excesses, threshold, scale)
     return Tails(by_statistic, mixtures)
 
 
@@ -150,8 +149,7 @@ def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
     """
     values = np.array(scores)
     for places in _statistics(keys).values():
-        sizes = np.abs(scores[:, places])
-        normal = _normal_by_others(sizes)
+        normal = _normal_by_others(np.abs(scores[:, places]))
         values[:, places] = np.copysign(normal, scores[:, places])
     return values
 
@@ -159,41 +157,42 @@ def normal_scores_by_others(scores: Floats, keys: Sequence[Key]) -> Floats:
 def _normal_by_others(sizes: Floats) -> Floats:
     """Return the absolute normal scores (b, k) of the absolute scores (b, k) of one statistic."""
     fit, normal = _fit(sizes), np.array(sizes)
-    tails: list[Tail | None] = [None] * len(sizes)
+    thresholds, scales = np.full(len(sizes), THRESHOLD), np.ones(len(sizes))
     if fit is not None:
         best = (fit.density.sum(axis=1, keepdims=True) - fit.density + _PRIOR[:, None]).argmax(axis=0)
-        tails = [fit.tail(at) for at in best.tolist()]
+        thresholds, scales = fit.thresholds[best], fit.scales[best]
         for at in np.unique(best).tolist():
             normal[best == at] = fit.tail(at).normal(sizes[best == at])
-    excesses = np.concatenate([_excesses(tail, row[None]) for tail, row in zip(tails, sizes, strict=True)])
-    for row, tail in enumerate(tails):
-        rare = _rare_tail(tail, excesses.sum(axis=0) - excesses[row])
-        if rare is not None:
-            normal[row] = rare.reduced(sizes[row], normal[row])
+    excesses = _excesses(sizes, thresholds[:, None])
+    others = excesses.sum(axis=0) - excesses
+    for row in np.flatnonzero(_is_mixture(others, fit)).tolist():
+        rare = _rare_tail(others[row], float(thresholds[row]), float(scales[row]))
+        normal[row] = rare.reduced(sizes[row], normal[row])
     return normal
 
 
-def _excesses(tail: Tail | None, sizes: Floats) -> Floats:
+def _excesses(sizes: Floats, thresholds: Floats | float) -> Floats:
     """Return for each of b campaigns (b, 3) the numbers of known absolute scores (b, k) and of those beyond the
-    threshold of the tail, and the sum of the excesses of the latter.
+    thresholds, and the sum of the excesses of the latter.
     """
-    excess = np.maximum(np.nan_to_num(sizes) - (tail.threshold if tail else THRESHOLD), 0.0)
+    excess = np.maximum(np.nan_to_num(sizes) - thresholds, 0.0)
     return np.stack([np.isfinite(sizes).sum(axis=1), (excess > 0).sum(axis=1), excess.sum(axis=1)], axis=1)
 
 
-def _rare_tail(tail: Tail | None, excesses: Floats) -> RareTail | None:
-    """Return the tail of a mixture for a sum (3,) of `_excesses`; None if no more scores are beyond the threshold than
-    chance (three standard deviations and two scores) allows with twice the usual share. If no tail could be fitted,
-    nearly all scores are zero, and the usual share is 0.
+def _is_mixture(excesses: Floats, fit: _Fit | None) -> Booleans:
+    """Return for sums (..., 3) of `_excesses` whether more scores are beyond the threshold than chance (three standard
+    deviations and two scores) allows with twice the usual share. If no tail could be fitted, nearly all scores are
+    zero, and the usual share is 0.
     """
+    usual = 2 * _SHARE * excesses[..., 0] if fit is not None else np.zeros(excesses.shape[:-1])
+    return np.asarray(excesses[..., 1] > usual + 3 * np.sqrt(usual) + 2)
+
+
+def _rare_tail(excesses: Floats, threshold: float, scale: float) -> RareTail:
+    """Return the tail of a mixture for a sum (3,) of `_excesses` beyond this threshold of a tail of this scale."""
     known, beyond, total = excesses.tolist()
-    usual = 2 * known * _SHARE if tail else 0.0
-    if beyond <= usual + 3 * math.sqrt(usual) + 2:
-        return None
-    least = _MEAN_EXCESS * (tail.scale if tail else 1.0)
-    return RareTail(
-        tail.threshold if tail else THRESHOLD, (beyond + 1) / (known + 2), max((total + least) / (beyond + 1), least)
-    )
+    least = _MEAN_EXCESS * scale
+    return RareTail(threshold, (beyond + 1) / (known + 2), max((total + least) / (beyond + 1), least))
 
 
 @dataclass(frozen=True)
@@ -205,6 +204,11 @@ class _Fit:
 
     def tail(self, at: int) -> Tail:
         return Tail(FREEDOMS[at], float(self.scales[at]))
+
+    @property
+    def thresholds(self) -> Floats:
+        """The absolute scores (f,) with the normal score `THRESHOLD`."""
+        return np.asarray(self.scales * _AT_THRESHOLD)
 
 
 def _fit(sizes: Floats) -> _Fit | None:
