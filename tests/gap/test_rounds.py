@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -15,7 +16,7 @@ from imuarray.gap.findings.causes import causes_of
 from imuarray.gap.inference import forward_selection
 from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import CANDIDATES, Candidate, Hypothesis
-from imuarray.gap.inference.evidence import Evidence, Span, since
+from imuarray.gap.inference.evidence import Evidence, Span, When, since
 from imuarray.gap.inference.forward_selection import (
     Round,
     _shown_by_each_part,
@@ -30,6 +31,7 @@ from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, searc
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.simulate.effects.bias import Bias, BiasInstability, CommonMode, PopcornNoise, RandomWalk
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.readings import ChannelSwap
 from tests.gap.search_inputs import found_in
 from tests.gap.small_bench import LINE, SHORT, Run, prepared
 from tests.selection import some
@@ -260,6 +262,12 @@ def test_temporary_common_effects_wait_for_permanent_ones() -> None:
     faster, slower = (Hypothesis((CommonMode((0.2, 0.0, 0.2), time_s),), ("rms",), shared=True) for time_s in (4, 17))
     assert precursors([COMMON_FOR_A_WHILE, faster, slower]) == [[2], [], []]
     assert precursors([COMMON_FOR_A_WHILE, faster]) == [[1], []]
+
+
+def test_another_sensors_data_for_a_while_wait_for_nothing() -> None:
+    """Before the while, the readings contradict the other sensor's data in every row."""
+    always = Hypothesis((ChannelSwap("G2"),), shared=True, sensor="G1", others=("G2",))
+    assert precursors([always.at(When((Span(0, 40.0, math.inf),))), always]) == [[], []]
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ def round_of(
 
 
 class RunByMoment(CannedRun):
-    """First evaluations gain more if the beginning of the bias is nearer to a moment."""
+    """First evaluations gain more if the beginning of the bias is nearer to a moment; if it is nan, all the same."""
 
     def __init__(self, moment_s: float) -> None:
         super().__init__({"bias": 99.0, "tone": 0.0}, {"bias": (9.0, 20.0), "tone": (0.0, 0.0)})
@@ -219,7 +219,8 @@ class RunByMoment(CannedRun):
     def _looked(self, trial: Hypothesis) -> FittedHypothesis:
         if not trial.when.spans:
             return super()._looked(trial)
-        return FittedHypothesis(trial, {}, 100.0 - abs(trial.when.spans[-1].moment_s - self._moment_s))
+        off_s = abs(trial.when.spans[-1].moment_s - self._moment_s)
+        return FittedHypothesis(trial, {}, 100.0 - (0.0 if math.isnan(off_s) else off_s))
 
 
 @pytest.mark.parametrize("moment_s", [11.0, 37.1, 49.0])
@@ -231,6 +232,15 @@ def test_a_beginning_within_a_motion_is_narrowed_down(moment_s: float) -> None:
     assert result.selection is not None
     (span,) = result.selection.trial.when.spans
     assert span.moment_s == pytest.approx(moment_s, abs=40.0 * (2 / 7) ** 4 / 2)
+
+
+def test_a_beginning_that_nothing_shows_stays_in_the_middle() -> None:
+    """As in a motion that is not compared. The held-out half of the rest before it follows the lower bound."""
+    trial = replace(Hypothesis((Bias(1.0),)).at(When((Span(0, 30.0, math.inf),))), begin_bounds_s=(10.0, 50.0))
+    run = RunByMoment(math.nan)
+    result = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [trial]}, {UNIT: Hypothesis((LINE,))}, run)[UNIT]
+    (only,) = result.confirmed
+    assert [span.moment_s for span in only.trial.when.spans] == [30.0]
 
 
 def test_the_trial_with_the_largest_gain_is_accepted() -> None:

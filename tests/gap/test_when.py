@@ -15,6 +15,7 @@ from imuarray.gap.recording.course import stretches_of
 from imuarray.gap.recording.recordings import sources_of
 from imuarray.gap.statistics.split import split_of
 from imuarray.log.format import Phase
+from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.noise import Tone
 from tests.gap import multirate_logs
 from tests.selection import some
@@ -59,6 +60,16 @@ def test_a_beginning_that_is_narrowed_down() -> None:
     assert narrowed.begin_bounds_s == (10.0, 30.0)
     assert narrowed.rarity == trial.rarity
     assert trial.narrowed((10.0, 50.0), 1).begin_bounds_s == (10.0, 50.0)
+
+
+def test_an_onset_that_is_narrowed_down() -> None:
+    """An effect with an onset of its own has no spans."""
+    trial = Hypothesis(
+        (RangeReset(2.0, onset_s=30.0, run=0.0), RangeReset(2.0, runs=(1.0,))), begin_bounds_s=(10.0, 50.0)
+    )
+    narrowed = trial.narrowed((10.0, 20.0, 30.0, 50.0), 1)
+    assert narrowed.effects == (RangeReset(2.0, onset_s=20.0, run=0.0), RangeReset(2.0, runs=(1.0,)))
+    assert narrowed.begin_bounds_s == (10.0, 30.0)
 
 
 def test_a_beginning_followed_by_whole_logs() -> None:

@@ -92,6 +92,9 @@ _NARROWINGS, _MOMENTS = 4, 6
 """Number of times that the beginning of a trial is narrowed down, and of moments tried each time: to 1/150 of a motion.
 """
 
+_SAME_GAIN = 0.1
+"""Difference in nats up to which two beginnings explain the same, as those in a motion that is not compared."""
+
 BRIEF = 4.0
 """Cost in nats, to the mean of both parts, of the choice of a moment. The cost to their sum is twice this, the log of
 thousands of moments.
@@ -409,7 +412,9 @@ def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
     For an effect on several axes, the precursors are the same effect on some of these axes: guesses are made for the
     axes that show it, and for all. For telegraph noise, whose autocovariance is that of Gauss-Markov noise, they are
     all slow wanders. For an effect that sensors share for a while, they are the effect that they always share, of any
-    size and of about the same time constant if there is one: it gains in the logs that contain the while.
+    size and of about the same time constant if there is one: it gains in the logs that contain the while. An effect
+    without a size, as another sensor's readings, has no precursor: what it explains in a part of a log may cost more in
+    the rest.
     """
     wanders = [at for at, trial in enumerate(trials) if trial.name in _WANDERS and not trial.needs_both]
     narrower: list[list[int]] = [
@@ -419,7 +424,7 @@ def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
     lasting = [at for at, trial in enumerate(trials) if trial.shared and not trial.when.spans and not narrower[at]]
 
     def others(trial: Hypothesis) -> list[int]:
-        if trial.shared and trial.when.spans:
+        if trial.shared and trial.when.spans and trial.free:
             same = [at for at in lasting if _is_same_in_time(trials[at], trial)]
             return [at for at in same if _is_as_slow(trials[at], trial)] or same
         return first if trial.name == PopcornNoise.name and not trial.needs_both else []
@@ -488,13 +493,16 @@ def _narrow(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return the best trial of each unit and effect whose beginning lies between known moments, as in a motion, with
-    the beginning that explains most.
+    the beginning that explains most; of moments that explain the same, the middle one. A trial that gains no more by
+    another beginning is left out.
     """
     best: dict[Unit, list[FittedHypothesis]] = {}
+    before: dict[Unit, dict[str, float]] = {}
     for unit, unit_looks in looks.items():
         several = [look for look in unit_looks if look.trial.begin_bounds_s is not None and look.gain > WORTH]
         if several:
             best[unit] = _best_of_effects(several)
+            before[unit] = {look.trial.name: look.gain for look in best[unit]}
     for _ in range(_NARROWINGS if best else 0):
         requests: dict[Unit, list[Hypothesis]] = {unit: [] for unit in best}
         for unit, unit_looks in best.items():
@@ -503,18 +511,26 @@ def _narrow(
                     moments_s = np.linspace(*trial.begin_bounds_s, _MOMENTS + 2).tolist()
                     requests[unit] += [trial.narrowed(moments_s, at) for at in range(1, _MOMENTS + 1)]
         best = {
-            unit: _best_of_effects(unit_looks) for unit, unit_looks in _look_at_all(run, standings, requests).items()
+            unit: _best_of_effects(unit_looks, _SAME_GAIN)
+            for unit, unit_looks in _look_at_all(run, standings, requests).items()
         }
-    return best
+    return {
+        unit: [look for look in unit_looks if look.gain > before[unit][look.trial.name] + _SAME_GAIN]
+        for unit, unit_looks in best.items()
+    }
 
 
-def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis]:
-    """Return, for each effect, the look that gains most."""
-    best: dict[str, FittedHypothesis] = {}
+def _best_of_effects(looks: Iterable[FittedHypothesis], same: float = 0.0) -> list[FittedHypothesis]:
+    """Return, for each effect, the look that gains most; the middle one of several that gain the `same` nats."""
+    of_effect: dict[str, list[FittedHypothesis]] = {}
     for look in looks:
-        if look.trial.name not in best or look.gain > best[look.trial.name].gain:
-            best[look.trial.name] = look
-    return list(best.values())
+        of_effect.setdefault(look.trial.name, []).append(look)
+    best: list[FittedHypothesis] = []
+    for several in of_effect.values():
+        most = max(look.gain for look in several)
+        equal = [look for look in several if look.gain >= most - same]
+        best.append(equal[(len(equal) - 1) // 2])
+    return best
 
 
 def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:

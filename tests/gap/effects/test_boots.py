@@ -100,6 +100,13 @@ def test_another_range_from_a_row_on_is_suggested(sensor: str, range_: float, of
     assert first.run == 0.0
 
 
+def test_a_step_of_the_bias_is_no_other_range() -> None:
+    """An offset and a share of the noise would compensate the ratio of any range; the noise of the readings stays."""
+    evidence = evidence_of("static", "A1", {"A1": (Bias((0.3, 0.1, 0.2), spans=(0.0, 33.3, 1e9)),)}, seed=7)
+    trials = CANDIDATES["range_reset"].guesses(evidence)
+    assert not [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
+
+
 @pytest.mark.slow
 def test_another_range_from_a_row_of_a_tumble_on_is_suggested() -> None:
     """The faces determine the ratio, 4 / 3, whichever face follows the step, and the next log has that range too."""

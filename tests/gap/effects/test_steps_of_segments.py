@@ -7,7 +7,7 @@ import pytest
 
 from imuarray.characterise.codes import histogram
 from imuarray.gap.inference.effects.codes import _divisor
-from imuarray.gap.inference.effects.levels import _gains, _Series
+from imuarray.gap.inference.effects.levels import _gains, _Series, _time
 
 SEED = 7
 
@@ -35,6 +35,40 @@ def test_gains_of_a_step_equal_their_definition(ratio: float) -> None:
     assert np.all(gains[:3] == -np.inf)
     np.testing.assert_allclose(gains[3:], expected, rtol=1e-9)
     assert ratio > 1 or int(gains.argmax()) == 25
+
+
+@pytest.mark.parametrize(
+    ("onset_s", "from_s", "expected", "bounds_s"),
+    [
+        (10.05, 10.0, 10.05, None),  # at the first row of a segment
+        (10.35, 10.0, 10.35, None),  # three rows of ten later
+        (9.75, 10.0, 9.75, None),
+        (15.0, 20.0, 15.0, (10.0, 20.0)),  # somewhere in a gap of ten seconds
+        (12.0, 20.0, 15.0, (10.0, 20.0)),
+        (20.35, 20.0, 20.35, None),  # after the gap
+        (9.75, 20.0, 9.75, None),  # before it
+    ],
+)
+def test_a_step_lies_between_rows_or_in_the_middle_of_a_gap(
+    onset_s: float, from_s: float, expected: float, bounds_s: tuple[float, float] | None
+) -> None:
+    """Segments of ten rows, a tenth of a second apart, from 0 to 10 s and for ten seconds from `from_s` on. The scatter
+    of a mean is a hundredth of the step, a tenth of a row.
+    """
+    generator = np.random.default_rng(SEED)
+    rows_s = np.concatenate([np.arange(100), np.arange(100) + 10 * from_s])[:, None] / 10 + [[0.05]]
+    rows = np.where(rows_s >= onset_s, 3.0, 0.0) + generator.normal(0.0, 0.1, (200, 3))
+    level = rows.reshape(20, 10, 3).mean(axis=1)
+    middle_s = rows_s.reshape(20, 10).mean(axis=1)
+    series = _Series(middle_s, level, np.zeros((20, 3)), np.zeros((20, 3)), np.full((20, 3), 0.01))
+    at = int((middle_s < onset_s).sum())
+    moment_s, gap_s = _time(series, at, 1.0, 0.1)
+    assert moment_s == pytest.approx(expected, abs=0.06)
+    assert (gap_s is None) == (bounds_s is None)
+    assert bounds_s is None or gap_s == pytest.approx(bounds_s)
+    before = rows_s[:, 0] < moment_s
+    assert np.all(rows[before] < 1.5)
+    assert np.all(rows[~before] > 1.5)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal
 
 from imuarray.gap.inference.evidence import ALWAYS, NATS_PER_NUMBER, Evidence, When
 from imuarray.gap.model.populations import PRINTED, is_near_noted_position, is_usual
@@ -83,15 +83,18 @@ class Hypothesis:
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     def narrowed(self, moments_s: Sequence[float], at: int) -> Hypothesis:
-        """Return the hypothesis whose last span that is not a whole log begins at `moments_s[at]`, with the moments
-        before and after it as the bounds of the beginning. `moments_s` ascend.
+        """Return the hypothesis whose last span that is not a whole log, or without spans whose first effect, begins at
+        `moments_s[at]`, with the moments before and after it as the bounds of the beginning. `moments_s` ascend.
         """
         spans, begin_s = list(self.when.spans), moments_s[at]
+        bounds_s = moments_s[max(at - 1, 0)], moments_s[min(at + 1, len(moments_s) - 1)]
+        if not spans:
+            first, *others = self.effects
+            onset: dict[str, Any] = {"onset_s": begin_s}
+            return replace(self, effects=(replace(first, **onset), *others), begin_bounds_s=bounds_s)
         last = max(place for place, span in enumerate(spans) if not span.is_whole)
         spans[last] = spans[last]._replace(moment_s=begin_s)
-        changed = self.at(When(tuple(spans), self.when.chosen))
-        bounds_s = moments_s[max(at - 1, 0)], moments_s[min(at + 1, len(moments_s) - 1)]
-        return replace(changed, begin_bounds_s=bounds_s)
+        return replace(self.at(When(tuple(spans), self.when.chosen)), begin_bounds_s=bounds_s)
 
     @property
     def name(self) -> str:

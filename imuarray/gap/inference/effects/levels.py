@@ -149,6 +149,9 @@ _ROUNDING_LSB2 = 0.01
 _CLEAR = 15.0
 """Nats by which two states must fit better than one."""
 
+_SURE = 3.0
+"""Standard deviations of a segment's mean from which on the mean shows that a part of the segment has another state."""
+
 
 class States(NamedTuple):
     """(3,) readings before and after a change, in the sensor's unit by the configured sensitivity, for the same face
@@ -163,13 +166,14 @@ class States(NamedTuple):
 
 class Onset(NamedTuple):
     """From `onset_s` in log number `log` on, another state holds. It explains the log by `nats` better than one
-    state.
+    state. `begin_bounds_s`: the gap between segments at rest in which the state changes, if it does.
     """
 
     log: int
     onset_s: float
     states: States
     nats: float
+    begin_bounds_s: tuple[float, float] | None = None
 
 
 class _Series(NamedTuple):
@@ -197,7 +201,8 @@ def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
         gains = _gains(series, ratio)
         at = int(gains.argmax())
         if gains[at] > _CLEAR:
-            steps.append(Onset(log, _time(series, at, ratio), _states(series, at, ratio), float(gains[at])))
+            onset_s, bounds_s = _time(series, at, ratio, 1 / evidence.rows_per_s)
+            steps.append(Onset(log, onset_s, _states(series, at, ratio), float(gains[at]), bounds_s))
     return sorted(steps, key=lambda step: -step.nats)
 
 
@@ -273,14 +278,29 @@ def _states(series: _Series, at: int, ratio: float) -> States:
     )
 
 
-def _time(series: _Series, at: int, ratio: float) -> float:
-    """Return the time of the step, from its shares in the means of the segments before and after it."""
+def _time(series: _Series, at: int, ratio: float, row_s: float) -> tuple[float, tuple[float, float] | None]:
+    """Return the time of the step, between two rows that are `row_s` apart; and the gap between segments in which it
+    lies, if it does.
+
+    The means of the segments before and after the step may contain a share of the other state. A share is that of the
+    nearest number of rows; one within the scatter of a mean is none, because a single row with the wrong state would
+    deviate by the whole step. A step in a gap is in its middle.
+    """
     low = np.median(series.residual[: at - 1], axis=0)
     inner = slice(at - 1, at + 1)
     faces = series.predicted[inner]
     high = ratio * (faces + np.median(_unscaled(series, ratio)[at + 1 :], axis=0)) - faces
     axis = int(np.abs(high - low).sum(axis=0).argmax())
-    width = float(np.median(np.diff(series.time_s)))
+    width_s = float(np.median(np.diff(series.time_s)))
     step = high[:, axis] - low[axis]
     shares = np.divide(series.residual[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
-    return float(series.time_s[at] + width / 2 - width * np.clip(shares, 0.0, 1.0).sum())
+    error = np.sqrt(series.variance[inner, axis] * row_s / width_s)
+    scatter = np.divide(error, np.abs(step), out=np.ones(2), where=step != 0)
+    parts = np.clip([shares[0], 1 - shares[1]], 0.0, 1.0)  # of the segment before in the new state, and vice versa
+    inside_s = np.where(parts > _SURE * scatter, np.round(parts * width_s / row_s) * row_s, 0.0)
+    end_s, begin_s = (series.time_s[inner] + [width_s / 2, -width_s / 2]).tolist()
+    if begin_s - end_s < width_s:
+        return float((end_s + begin_s) / 2 + inside_s[1] - inside_s[0]), None
+    if inside_s.any():
+        return float(begin_s + inside_s[1] if inside_s[1] > inside_s[0] else end_s - inside_s[0]), None
+    return (end_s + begin_s) / 2, (end_s, begin_s)

@@ -74,14 +74,14 @@ def guess_range_reset(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _within(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest a reset within a log, to each range whose step is about as clear as the clearest one. The ranges that
-    need the smallest offset and change of noise are used.
+    need the smallest offset and change of noise are used. The noise must change as well (`_changes_noise`).
     """
     steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
     guesses = [
         (guess, steps_of_range)
         for other, steps_of_range in steps.items()
         for guess in (_guesses(evidence, [steps_of_range[0].states]) if steps_of_range else ())
-        if guess.effect.range == other
+        if guess.effect.range == other and _changes_noise(evidence, guess, steps_of_range[0].states)
     ]
     least = _AS_CLEAR * max((steps_of_range[0].nats for _, steps_of_range in guesses), default=0.0)
     clear = [(guess, steps_of_range) for guess, steps_of_range in guesses if steps_of_range[0].nats >= least]
@@ -105,24 +105,21 @@ def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Ite
         yield Hypothesis((alone, *others))
     later = sorted({float(phase.log) for phase in evidence.phases if phase.log > clearest.log})
     if later:
-        yield Hypothesis((alone, replace(first, runs=tuple(later))), _FREE[:2])
-    yield Hypothesis((alone,), _FREE[:2])
+        yield Hypothesis((alone, replace(first, runs=tuple(later))), _FREE[:2], begin_bounds_s=clearest.begin_bounds_s)
+    yield Hypothesis((alone,), _FREE[:2], begin_bounds_s=clearest.begin_bounds_s)
 
 
 def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Hypothesis]:
     """Suggest a reset in these logs alone, all of which may belong to one part of the data.
 
-    The noise must change as well, because a change of the bias does not change it. The level and noise of the sensor
-    are those of the other logs.
+    The noise must change as well (`_changes_noise`). The level and noise of the sensor are those of the other logs.
     """
     others = [phase.residual for phase in evidence.still if phase.log not in logs and phase.raw.rows]
     level = np.median([np.nanmean(phase.segments.mean, axis=0) for phase in others], axis=0)
     x, y, z = (evidence.fitted.offset + level / evidence.header.sensitivity).tolist()
     usual = with_noise(evidence, np.log(states.noise_before / evidence.noise))
     for guess in _cheapest(_guesses(evidence, [states])):
-        ratio = _ratios(evidence)[guess.effect.range]
-        changed = np.log(states.noise_after / states.noise_before) / np.log(ratio)
-        if changed.min() > _NOISE_TOO:
+        if _changes_noise(evidence, guess, states):
             effect = replace(guess.effect, runs=tuple(map(float, logs)))
             rarity = NATS_PER_NUMBER * len(logs) + _unlike(evidence, guess.size)
             yield Hypothesis((effect,), whole=True, rarity=rarity, fitted=replace(usual, offset=(x, y, z)))
@@ -235,10 +232,23 @@ class _Guess(NamedTuple):
 
 
 def _in_some_boots(evidence: Evidence, states: States, probability: float) -> Iterator[Hypothesis]:
-    """Suggest a range after some boots, by the levels before and after, r (x + offset), and the noises."""
+    """Suggest a range after some boots, by the levels before and after, r (x + offset), and the noises, which must
+    change as well (`_changes_noise`).
+    """
     free = _FREE if probability < 1 else _FREE[:2]
     for guess in _cheapest(_guesses(evidence, [states])):
+        if not _changes_noise(evidence, guess, states):
+            continue
         yield Hypothesis((replace(guess.effect, probability=probability),), free)
+
+
+def _changes_noise(evidence: Evidence, guess: _Guess, states: States) -> bool:
+    """Return whether the noise changes as that of the guessed range does. A bias does not change it: an offset and a
+    share of the noise that compensate the other range resemble every step of a bias.
+    """
+    ratio = _ratios(evidence)[guess.effect.range]
+    changed = np.log(states.noise_after / states.noise_before) / np.log(ratio)
+    return bool(changed.min() > _NOISE_TOO)
 
 
 def _guesses(
