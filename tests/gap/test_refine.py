@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -136,6 +137,36 @@ def test_a_trial_has_hope_if_it_loses_little_or_gains_in_a_log(
 ) -> None:
     assert has_hope(FittedHypothesis(Hypothesis((LINE,)), {}, gain, by_log=by_log)) == hope
     assert not has_hope(FittedHypothesis(Hypothesis((LINE,)), None, 9.0))  # refused parameters
+
+
+def test_a_step_starts_from_the_level_that_the_recording_has(
+    tone: tuple[Bench, UnitState], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model with a bias of 5 dps more than the recording, far more than the noise, is first given the recorded bias.
+    Slopes are those of an amplitude alone: while it is changed, the bias stays.
+    """
+    bench, standing = tone
+    (name,) = standing.unit
+    displaced = replace(standing.models[name].fitted, offset=(5.0, 0.0, 0.0))
+    seen: list[tuple[float, float]] = []
+    replicates = Bench.replicates
+
+    def record(
+        self: Bench, requests: Sequence[ReplicateRequest], held_out: bool = True, **others: Models
+    ) -> list[StatisticValues]:
+        of_first = [models[name] for models, number in requests if number == 0]
+        amplitudes = [effect.amplitude[1] for model in of_first for effect in model.added if isinstance(effect, Tone)]
+        seen.extend(zip([model.fitted.offset[0] for model in of_first], amplitudes, strict=True))
+        return replicates(self, requests, held_out=held_out, **others)
+
+    monkeypatch.setattr(Bench, "replicates", record)
+    refine(bench, standing, Hypothesis((Tone((0.0, 0.01, 0.0), 9.0),), ("amplitude",), fitted=displaced))
+    first, second, *later = seen
+    assert first == (5.0, 0.01)
+    assert second == pytest.approx((standing.target[name].offset[0], 0.01), abs=0.3)
+    assert second[1] == 0.01
+    assert later[0][0] == second[0]
+    assert later[0][1] != 0.01
 
 
 def test_slopes_of_a_response_need_fewer_replicates_than_its_gain(

@@ -189,6 +189,11 @@ _DONE, _CONVERGED = 0.03, 0.1
 further step is made.
 """
 
+_DISPLACED = 1.0
+"""Difference between the offsets of a trial's models and those that the recording has, in standard deviations of a
+reading, from which on the trial is simulated with the latter before a step.
+"""
+
 _ADAPTED, _FITS = 2, 0.5
 """Largest number of adaptations of the noise, and the misfit in nats above the present models' below which they end."""
 
@@ -279,11 +284,16 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
     if now is None:
         return FittedHypothesis(trial)
     now = best = _adapt(bench, standing, now)
+    if _is_displaced(bench, standing, now):
+        changed = _with_fitted(standing.changed(trial), now.statistics.settled)
+        after = _simulate(bench, standing, trial, changed, len(now.statistics.values))
+        if after is not None:
+            now, best = after, max(best, after, key=_gained)
     for _ in range(STEPS):
         factors = factors_of(now.hypothesis.trial)
         if not factors:
             break
-        slopes = _slopes(bench, standing, now.hypothesis.trial, factors, now.statistics)
+        slopes = _slopes(bench, standing, now, factors)
         steps, expected_gain = _step(standing, now.statistics, slopes)
         if expected_gain < _CONVERGED:
             break
@@ -315,6 +325,20 @@ def _adapt(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState
             break
         now, best = after, max(best, after, key=_gained)
     return best
+
+
+def _is_displaced(bench: Bench, standing: UnitState, state: _TrialState) -> bool:
+    """Return whether the levels of the trial's models are still far from those that the recording has: a bias that was
+    fitted to two ranges displaces every level of the second one, and a step would change the trial instead.
+    """
+    models = state.hypothesis.models
+    if models is None:
+        return False
+    return any(
+        bool((np.abs(np.subtract(settled.fitted.offset, models[name].fitted.offset)) > _DISPLACED * noise).any())
+        for name, settled in state.statistics.settled.items()
+        for noise in (standing.target[name].noise(bench.base.headers[name]),)
+    )
 
 
 class _TrialStatistics(NamedTuple):
@@ -429,22 +453,19 @@ def _by_log(bench: Bench, standing: UnitState, likelihood: SyntheticLikelihood, 
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
 
-def _slopes(
-    bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], statistics: _TrialStatistics
-) -> Floats:
+def _slopes(bench: Bench, standing: UnitState, state: _TrialState, factors: Sequence[Factor]) -> Floats:
     """Return the change (n, k) of each statistic with the log of each factor.
 
     The axes of one parameter are changed together, because an axis depends on its own factor. The change of a statistic
     of the whole sensor is divided among them.
     """
-    unit = standing.unit
-    columns = bench.own(unit)
+    columns, statistics = bench.own(standing.unit), state.statistics
     of_axis = np.array([bench.keys[at].axis for at in columns])
     slopes = np.zeros((len(columns), len(factors)))
     groups: dict[tuple[int, str, int], list[int]] = {}
     for at, factor in enumerate(factors):
         groups.setdefault((factor.effect, factor.name, factor.turn), []).append(at)
-    nudged = _nudge(bench, standing, trial, factors, statistics, list(groups.values()))
+    nudged = _nudge(bench, standing, state, factors, list(groups.values()))
     for members, (nudge, values) in zip(groups.values(), nudged, strict=True):
         change = np.nan_to_num((values - statistics.values[: len(values)]).mean(axis=0)) / nudge
         for at in members:
@@ -457,17 +478,19 @@ def _slopes(
 def _nudge(
     bench: Bench,
     standing: UnitState,
-    trial: Hypothesis,
+    state: _TrialState,
     factors: Sequence[Factor],
-    statistics: _TrialStatistics,
     groups: Sequence[list[int]],
 ) -> list[tuple[float, Floats]]:
-    """Return, for each group of factors, the step in their logarithms and the statistics after it.
+    """Return, for each group of factors, the step in their logarithms and the statistics after it, all with the same
+    ordinary parameters: a slope must not contain the change of these.
 
     The step is upwards, or downwards if an upward step cannot be simulated; if neither can, the statistics are the old
     ones. A response whose parts are drawn needs more replicates for its effect, but not for a slope: a step changes
     every replicate alike.
     """
+    trial, statistics = state.hypothesis.trial, state.statistics
+    models = statistics.settled if state.hypothesis.models is None else state.hypothesis.models
     count = LOOKS if trial.name in _OF_RESPONSE else len(statistics.values)
     outcomes = [(_NUDGE, statistics.values)] * len(groups)
     open_groups = list(range(len(groups)))
@@ -476,7 +499,7 @@ def _nudge(
         for at in open_groups:
             steps = np.zeros(len(factors))
             steps[groups[at]] = nudge
-            several.append(_with_fitted(standing.changed(move_factors(trial, factors, steps)), statistics.settled))
+            several.append(_with_fitted(standing.changed(move_factors(trial, factors, steps)), models))
         replicated = dict(
             zip(
                 open_groups,
