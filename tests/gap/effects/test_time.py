@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.inference.effects import CANDIDATES, timing
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.effects.timing import late
+from imuarray.gap.inference.effects.timing import guess_skew, late
 from imuarray.gap.inference.evidence import Evidence, Span
 from imuarray.gap.model.signal_delay import SignalDelay
 from imuarray.gap.recording.events import Host
 from imuarray.gap.recording.host_lag import HostLag
+from imuarray.log.format import Phase
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import ClockError, DroppedSamples, Jitter, Skew
 from tests.gap.effects.evidence_of import evidence_of
@@ -48,6 +51,28 @@ def test_a_skew_is_suggested(sensor: str, delay_s: float) -> None:
     assert found.delay_s == pytest.approx(delay_s, rel=0.4)
     assert trial.free == ("delay_s",)
     assert (trial.rarity > 0) == (delay_s < 0)  # readings are made before their stamps
+
+
+@pytest.mark.parametrize("hz", [0.5, 2.0, 3.0])
+def test_a_skew_in_a_motion_that_windows_hardly_resolve(hz: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sine of angular frequency w in windows of T changes by sin(w T) / T from window to window, and so does one of
+    pi / T - w: a lag of 45 ms is either of two lags. In a slow motion only one is plausible.
+    """
+    width_s, delay_s, pace = 0.1, 0.045, 2 * math.pi * hz
+    rate = math.sin(pace * width_s) / width_s
+    cross = SimpleNamespace(window_s=width_s)
+    motion = Phase(0, 10_000_000_000, "motion", ""), cross
+    monkeypatch.setattr(timing, "motions", lambda evidence: [motion])
+    monkeypatch.setattr(timing, "_pace", lambda *_: (np.full(3, rate), np.ones(3)))
+    monkeypatch.setattr(timing, "quadrature", lambda *_: np.full(3, math.sin(pace * delay_s) / rate))
+    monkeypatch.setattr(timing, "along", lambda *_: np.full(3, math.cos(pace * delay_s)))
+    monkeypatch.setattr(timing, "_usual_of", lambda evidence, probe, otherwise: np.full(3, otherwise))
+    header = SimpleNamespace(name="G1")
+    evidence = SimpleNamespace(header=header, is_odd=lambda *_, **__: True, score=lambda _: np.zeros(3))
+    skews = [trial.effects[0] for trial in guess_skew(cast(Evidence, evidence))]
+    delays_s = [effect.delay_s for effect in skews if isinstance(effect, Skew)]
+    assert min(abs(found_s - delay_s) for found_s in delays_s) < 1e-9
+    assert len(delays_s) == (1 if hz < 1 else 2)
 
 
 @pytest.mark.slow

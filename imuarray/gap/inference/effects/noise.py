@@ -333,7 +333,8 @@ def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
     cutoff_hz = two_pole_cutoff_hz(lag_s)
     if fitted is not None:
         yield Hypothesis((Bandwidth(fitted.cutoff_hz, 1.0, fitted.poles, signal_only=1.0),))
-        yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0, signal_only=1.0),), ("cutoff_hz",))
+        rarity = max(rarity_behind(evidence, cutoff_hz), 0.0)  # the noise of a slower filter would be less
+        yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0, signal_only=1.0),), ("cutoff_hz",), rarity=rarity)
     elif _TWO_POLES.correlation(1 / (lag_s * evidence.rows_per_s)) < _UNSEEN:
         yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))
 

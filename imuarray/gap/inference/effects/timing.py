@@ -27,13 +27,15 @@ ODD = 2.5
 
 class Lag(NamedTuple):
     """`lag_s` behind the other sensors, `at_s` after the log's epoch, in a motion of mean period 2 pi / `pace`;
-    `weight` is the amount of motion.
+    `weight` is the amount of motion. `lag_if_fast_s` is the lag if the motion is the faster one that changes as much
+    from window to window: less than a quarter of its period is then resolved.
     """
 
     at_s: float
     lag_s: float
     pace: float
     weight: float
+    lag_if_fast_s: float
 
     @property
     def is_large(self) -> bool:
@@ -65,12 +67,16 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
     for phase, cross in motions(evidence):
         rate, weight = _pace(cross, sensor)
         pace = np.arcsin(np.minimum(rate * cross.window_s, 1.0)) / cross.window_s
-        lag_of_axis = np.arctan2(rate * (quadrature(cross, sensor) - usual_s), along(cross, sensor) / share) / pace
-        known = np.isfinite(lag_of_axis) & (weight > 0)
+        angle = np.arctan2(rate * (quadrature(cross, sensor) - usual_s), along(cross, sensor) / share)
+        known = np.isfinite(angle / pace) & (weight > 0)
         if known.any():
             middle_s = (phase.start_ns + phase.end_ns) * 0.5e-9
-            lag_s, mean_pace = (float(np.average(item[known], weights=weight[known])) for item in (lag_of_axis, pace))
-            yield Lag(middle_s, lag_s, mean_pace, float(weight[known].sum()))
+            fast_pace = np.pi / cross.window_s - pace
+            lag_s, mean_pace, lag_if_fast_s = (
+                float(np.average(item[known], weights=weight[known]))
+                for item in (angle / pace, pace, angle / fast_pace)
+            )
+            yield Lag(middle_s, lag_s, mean_pace, float(weight[known].sum()), lag_if_fast_s)
 
 
 def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
@@ -168,7 +174,7 @@ def guess_clock_error(evidence: Evidence) -> Iterator[Hypothesis]:
     """
     yield from _clock_of_host(evidence)
     lags_seen = odd_lags(evidence)
-    at_s, lag_s, _, weight = np.array(lags_seen).reshape(-1, 4).T
+    at_s, lag_s, _, weight, _ = np.array(lags_seen).reshape(-1, 5).T
     square = float(weight @ at_s**2)
     if not square > 0:
         return
@@ -239,6 +245,11 @@ def _fit_lags(columns: list[Floats], lag_s: Floats, weight: Floats) -> _ClockFit
     return _ClockFit(tuple((-1e6 * coefficients[1:]).tolist()), float(residuals @ residuals) / 2)
 
 
+_HARDLY_RESOLVED = 0.2
+"""Least ratio of the two periods of a motion, faster and slower than four windows, that changes as much from window to
+window, for which both are plausible.
+"""
+
 _RARITY_AHEAD = 6.0
 """Nats by which a reading that is measured after its time stamp is rarer than one that is old when it is stamped. Of
 two sensors that differ, the one behind is late, rather than the other one early.
@@ -246,7 +257,9 @@ two sensors that differ, the one behind is late, rather than the other one early
 
 
 def guess_skew(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the mean lag; if it is large, also a lag that differs by a period."""
+    """Suggest the mean lag; if it is large, also a lag that differs by a period, and if windows hardly resolve the
+    motion, the lag in a motion that is faster than they show.
+    """
     lags_seen = odd_lags(evidence)
     if not lags_seen:
         return
@@ -254,6 +267,9 @@ def guess_skew(evidence: Evidence) -> Iterator[Hypothesis]:
     delays_s = [lag_s]
     if any(lag.is_large for lag in lags_seen):
         delays_s.append(lag_s - math.copysign(2 * math.pi / pace, lag_s))
+    lag_if_fast_s = mean_of(lags_seen, "lag_if_fast_s")
+    if abs(lag_if_fast_s) > _HARDLY_RESOLVED * abs(lag_s):
+        delays_s.append(lag_if_fast_s)
     for delay_s in delays_s:
         yield Hypothesis((Skew(delay_s),), ("delay_s",), rarity=_RARITY_AHEAD if delay_s < 0 else 0.0)
 
