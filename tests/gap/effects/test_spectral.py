@@ -112,6 +112,13 @@ def test_a_filter_that_was_fitted_to_the_noise_is_suggested_for_the_signal() -> 
     assert isinstance(effect, Bandwidth)
     assert (effect.share, effect.poles, effect.signal_only) == (1.0, 2.0, 1.0)
     assert effect.cutoff_hz == pytest.approx(25.0, rel=0.2)
+    header = replace(evidence.header, chip="l3g4200d", rate_hz=800.0, bandwidth_hz=110.0)  # 0.03 dps in 1 Hz
+    usual, quiet = (
+        replace(evidence, header=header, fitted=replace(evidence.fitted, rms=(0.03 * hz**0.5,) * 3)) for hz in (110, 28)
+    )
+    usual_rarity, quiet_rarity = (list(CANDIDATES["bandwidth"].guesses(item))[-1].rarity for item in (usual, quiet))
+    assert usual_rarity > 1  # a filter at 25 Hz would leave half of the noise
+    assert quiet_rarity == 0
 
 
 def test_noise_below_the_data_sheet_suggests_a_filter() -> None:
