@@ -42,6 +42,7 @@ from imuarray.characterise.correlation import Autocovariance
 from imuarray.errors import CalibrationError
 from imuarray.kernels import drift_sums
 from imuarray.log import Log, SensorLog, require_logs
+from imuarray.log.rests import steady_rests
 from imuarray.units import INERTIAL
 
 MOST_SEGMENTS = 512
@@ -299,8 +300,6 @@ def _neighbours(products: Autocovariance) -> Floats | None:
     return np.asarray(np.clip(np.nan_to_num(correlation[1]), -1, 1))
 
 
-_STILL_PHASES = ("static", "room")
-
 _FALSE_ALARM = 0.01
 """Probability that a line is reported on any axis of a log without lines."""
 
@@ -316,8 +315,8 @@ def calibrate_noise(
     over all still stretches of one log or several. Changes with temperature are removed from the drift by the slopes of
     `known`.
 
-    Still stretches are phases that name a face, `static` and `room`; in a log without these phases they are detected by
-    the accelerometers. CalibrationError without still stretches. `progress` is called with the step, the number of
+    Still stretches are the `steady_rests` among the phases; in a log without rests they are detected by the
+    accelerometers. CalibrationError without still stretches. `progress` is called with the step, the number of
     sensors done, and their total.
     """
     require_logs(logs, "calibrate_noise(*logs)")
@@ -372,7 +371,7 @@ def with_noise_of(
 
 
 def _still_stretches(log: Log) -> list[Pose]:
-    named = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name in _STILL_PHASES]
+    named = [Pose(phase, None, log) for phase in steady_rests(log.phases)]
     poses = named or find_poses(log)
     refuse_motion(
         log, [(f"phase {p.phase.name!r}" if named else p.phase.name, p.phase.start_ns, p.phase.end_ns) for p in poses]

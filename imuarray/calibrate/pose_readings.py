@@ -27,6 +27,7 @@ from imuarray.characterise.stretch import GAP, broken_rows
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
+from imuarray.log.rests import CHECK, OVEN_NAMES, is_at_rest
 from imuarray.log.row_timing import row_timing
 from imuarray.series import add_windows
 
@@ -96,7 +97,7 @@ class Pose:
     @property
     def is_check(self) -> bool:
         """True for a face that was read again to measure the drift; it is not part of a fit."""
-        return self.phase.name.endswith("_check")
+        return self.phase.name.endswith(CHECK)
 
 
 @dataclass(frozen=True)
@@ -112,10 +113,6 @@ class Reading:
     change_lsb: Floats
 
 
-_NOT_AT_REST = ("motion", "heat", "cool")
-"""Phases that are not faces even if they state which axis was up: the box moves, or biases change."""
-
-
 def sensor_in(log: Log, sensor: SensorLog) -> SensorLog:
     """Return the sensor of the same name in `log`; CalibrationError if it is configured differently there."""
     sensor_of_log = log[sensor.name]
@@ -129,11 +126,14 @@ def sensor_in(log: Log, sensor: SensorLog) -> SensorLog:
 
 
 def labelled_faces(logs: Sequence[Log]) -> list[Pose]:
-    """Return the faces of several logs: poses that phases name; if there are none, phases of any name that state which
-    axis was up. CalibrationError for an `up` that is not an axis.
+    """Return the faces of several logs: poses that phases name; if there are none, rests of any name that state which
+    axis was up, except those in which the box is heated, because biases change. CalibrationError for an `up` that is
+    not an axis.
     """
     named = [pose for log in logs for pose in named_faces(log)]
-    return named or [pose for log in logs for pose in _faces(log, lambda phase: phase.name not in _NOT_AT_REST)]
+    return named or [
+        pose for log in logs for pose in _faces(log, lambda phase: is_at_rest(phase) and phase.name not in OVEN_NAMES)
+    ]
 
 
 def named_faces(log: Log) -> list[Pose]:

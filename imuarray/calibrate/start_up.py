@@ -19,9 +19,9 @@ from imuarray.calibrate.runs import NO_RANGES, Ranges, explained_range
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 from imuarray.log.health import StartVerdict
+from imuarray.log.rests import rests_of
 
 _SECONDS = 10.0
-_STILL = ("static", "room", "run ")
 _LIMIT, _POSE_G = 8.0, 0.02
 """Largest distance of a usual start from its state, in spreads, and tolerance of the pose of accelerometers, g."""
 _ROUNDING = 1 / 12
@@ -140,7 +140,7 @@ def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
 
 def _first_rests(log: Log, names: Sequence[str]) -> dict[str, RestMean]:
     """Return the means over the first seconds at rest by sensor, for sensors with readings there."""
-    still = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name.startswith(_STILL)]
+    still = [Pose(phase, None, log) for phase in rests_of(log.phases)]
     if names and not still:
         with suppress(CalibrationError):
             still = find_poses(log)

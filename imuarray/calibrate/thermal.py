@@ -50,6 +50,8 @@ from imuarray.calibrate.pose_readings import sensor_in
 from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means, thermometer_of, weights
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog, require_logs
+from imuarray.log.format import Phase
+from imuarray.log.rests import MOVING_NAMES
 from imuarray.printable import counted
 from imuarray.units import INERTIAL
 
@@ -429,12 +431,17 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
     )
 
 
+def _motions(log: Log) -> list[Phase]:
+    """Return the phases with the name of a motion, which are ignored."""
+    return [phase for phase in log.phases if phase.name in MOVING_NAMES]
+
+
 def _refuse_moving(log: Log) -> None:
     """Raise CalibrationError for a log in which the box moved outside the phases `motion`."""
     times = [(int(sensor.time[0]), int(sensor.time[len(sensor) - 1])) for sensor in log.sensors.values() if len(sensor)]
     if times:
         whole = ("", min(times)[0], max(end for _, end in times))
-        refuse_motion(log, [whole], [phase for phase in log.phases if phase.name == "motion"])
+        refuse_motion(log, [whole], _motions(log))
 
 
 def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
@@ -489,7 +496,7 @@ def _heating(
     segment_s: float,
 ) -> HeatingFit:
     """Fit one sensor of one log; CalibrationError if the data are not sufficient for a fit."""
-    segments = segment_means(sensor, segment_s, [phase for phase in log.phases if phase.name == "motion"])
+    segments = segment_means(sensor, segment_s, _motions(log))
     if len(segments.time_s) < _FEWEST_SEGMENTS:
         raise CalibrationError(
             f"{sensor.where}: {counted(len(segments.time_s), 'segment')} of {segment_s:g} s with valid readings;"

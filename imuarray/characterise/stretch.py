@@ -20,15 +20,8 @@ from imuarray.arrays import Floats, Indices
 from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT, Phase
+from imuarray.log.rests import steady_rests
 from imuarray.spelling import guess
-
-STILL_NAMES = frozenset({"static", "room"})
-"""Names of phases at rest. Phases named by the axis that points up are at rest as well."""
-
-MOVING_NAMES = frozenset({"motion"})
-"""Names of phases in which the box moves, whether or not an axis is noted as up."""
-
-FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
 
 GAP = 1.5
 """An interval longer than this multiple of the upper quartile of the intervals is a gap; an array that is polled in
@@ -89,7 +82,8 @@ class Timing:
 
 
 def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
-    """Return the longest phase called `phase`; without a name the longest phase at rest, or the whole log if none is.
+    """Return the longest phase called `phase`; without a name the longest of `steady_rests`, or the whole log if no
+    phase is a rest.
 
     LogError if no phase has that name.
     """
@@ -101,13 +95,8 @@ def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
                 f"{log.path}: no phase {phase!r}; it has {', '.join(names) or 'no phases'}{guess(phase, names)}"
             )
         return _stretch(named, "named")
-    rests = [item for item in log.phases if _is_at_rest(item)]
+    rests = steady_rests(log.phases)
     return _stretch(rests, "longest phase at rest") if rests else _whole(log)
-
-
-def _is_at_rest(phase: Phase) -> bool:
-    is_named = phase.name in STILL_NAMES or phase.name.removesuffix("_check") in FACE_NAMES
-    return is_named or (bool(phase.up) and phase.name not in MOVING_NAMES)
 
 
 def _stretch(phases: list[Phase], chosen_by: str) -> Stretch:

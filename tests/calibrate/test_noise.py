@@ -92,6 +92,22 @@ def test_motion_outside_the_still_phases_is_excluded(tmp_path: Path) -> None:
     assert (noise_of(write(tmp_path, counts, phases)) < [25, 35, 55]).all()
 
 
+def test_a_motion_with_a_noted_axis_is_no_rest(tmp_path: Path) -> None:
+    counts = white(4000)
+    counts[2000:] *= 3
+    phases = [Phase(0, 20_000_000_000, "pose 1"), Phase(20_000_000_000, 40_000_000_000, "motion", "+Z")]
+    assert (noise_of(write(tmp_path, counts, phases)) < [25, 35, 55]).all()
+
+
+def test_a_heated_rest_is_excluded_if_there_is_another(tmp_path: Path) -> None:
+    counts = white(4000)
+    counts[2000:] *= 3
+    phases = [Phase(0, 20_000_000_000, "room", "+Z"), Phase(20_000_000_000, 40_000_000_000, "heat", "+Z")]
+    assert (noise_of(write(tmp_path, counts, phases)) < [25, 35, 55]).all()
+    (tmp_path / "heated").mkdir()
+    assert (noise_of(write(tmp_path / "heated", counts, phases[1:])) > [25, 35, 55]).all()
+
+
 def test_rests_are_detected_by_accelerometers_where_phases_are_missing(tmp_path: Path) -> None:
     counts = white(6000, (5.0, 5.0, 5.0)) + np.array([0, 0, 2048])
     counts[3000:3600] += np.random.default_rng(7).normal(0, 500, (600, 3))

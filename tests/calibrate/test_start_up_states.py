@@ -138,6 +138,15 @@ class Shaken(HandShake):
         return super().phases[1:2]
 
 
+class ShakenUpright(Shaken):
+    """A shaken box whose log notes the axis that points up."""
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phase in motion with a noted axis."""
+        return tuple(phase._replace(up="+Z") for phase in super().phases)
+
+
 @pytest.mark.slow
 def test_a_log_without_rest_reports_no_start_up_fault(calibration_file: Path, tmp_path: Path) -> None:
     """The sensor in the wrong range has a fault after half a second of rest, and none if the log has no rest."""
@@ -149,13 +158,13 @@ def test_a_log_without_rest_reports_no_start_up_fault(calibration_file: Path, tm
         "B": [effect("range_reset", range=2.0, offset=(0.2, 0.23, 0.004))],  # starts at 2 g
     }
     faults = list[set[str]]()
-    for motion in (HandShake, Shaken):
+    for motion in (HandShake, Shaken, ShakenUpright):
         path = tmp_path / f"{motion.__name__}.h5"
         write_log(Simulation(plan_of(ARRAY, 50.0, 60.0), motion(still_s=0.5, motion_s=59.0), chains), path)
         with open_log(path) as log:
             calibration, starts = start_up_states(log, known, BY_SENSOR)
         faults.append({name for name, start in starts.items() if start.fault})
-    assert faults == [{"B"}, set()]
+    assert faults == [{"B"}, set(), set()]
     assert starts == {}
     turn_on = calibration.sensors["G"].turn_on
     assert turn_on is not None and len(turn_on.states) == 2  # neither is excluded

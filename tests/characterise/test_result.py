@@ -138,7 +138,9 @@ def write_log(path: Path, time: np.ndarray, phases: tuple[Phase, ...] = (), stat
     some(
         [
             ((), None),
-            ((Phase(0, 90, "heat"), Phase(0, 80, "run 3")), None),
+            ((Phase(0, 90, "heat"), Phase(0, 80, "run 3")), "run 3"),
+            ((Phase(0, 90, "heat", "+Z"), Phase(0, 80, "cool")), "heat"),
+            ((Phase(0, 90, "motion", "+Z"), Phase(0, 80, "run 1"), Phase(80, 90, "run 2")), None),
             ((Phase(0, 90, "heat"), Phase(5, 20, "x_down"), Phase(30, 40, "room")), "x_down"),
             ((Phase(0, 9, "static"), Phase(10, 50, "z_up_check")), "z_up_check"),
             ((Phase(0, 9, "static"), Phase(10, 50, "mine", "-Y")), "mine"),

@@ -11,7 +11,6 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.axes import up_vector
 from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
-from imuarray.characterise.stretch import FACE_NAMES, MOVING_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
 from imuarray.gap.recording.movement import (
@@ -27,6 +26,8 @@ from imuarray.gap.recording.quiet import knocks, quiet_rest
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
+from imuarray.log.rests import MOVING_NAMES, RUN, has_several_runs, is_face_check
+from imuarray.log.rests import is_at_rest as is_noted_rest
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Movement, PoseAttitude
 from imuarray.simulate.motion.stimulus import BoxStimulus
@@ -63,9 +64,6 @@ NEEDED_S, NEEDED_ROWS = 3.0, 24
 half a second or four rows, and the first and the last window are cut off.
 """
 
-OVEN_NAMES = frozenset({"heat", "heating", "warm-up", "soak", "cool", "cooling"})
-"""Further names of phases in which the box is at rest while its temperature changes."""
-
 TURN = "turn"
 """Name of a stretch between two noted rests in which the box turns."""
 
@@ -96,17 +94,11 @@ _SAME_COSINE = np.cos(np.radians(10))
 """Cosine of the largest angle between the directions up of poses on one face."""
 
 
-_RUN = "run "
-"""Beginning of the names of the phases of a turn-on series."""
-
-
 def is_at_rest(phase: Phase) -> bool:
-    """Return whether the box is at rest in a phase: the phase has the name of a rest, or an axis is noted as up and the
-    name is not that of a motion.
+    """Return whether the box is at rest in a phase by the rule of `imuarray.log.rests`; a face that is read again is
+    compared only if its axis is noted.
     """
-    name = phase.name
-    is_named = name in STILL_NAMES or name in FACE_NAMES or name in OVEN_NAMES
-    return is_named or name.startswith((_RUN, "pose ")) or (bool(phase.up) and name not in MOVING_NAMES)
+    return is_noted_rest(phase) and (bool(phase.up) or not is_face_check(phase))
 
 
 class ComparablePhases(NamedTuple):
@@ -205,13 +197,11 @@ def _is_noted_as_motion(stretch: Phase, phases: Sequence[Phase]) -> bool:
 
 
 def _without_names_of_runs(phases: Sequence[Phase]) -> list[Phase]:
-    """Return the phases with other names for runs if a log has several. A turn-on series has a file for each run; runs
-    of a motor or of a turntable have the same names, which then do not mean rest.
-    """
-    if sum(phase.name.startswith(_RUN) for phase in phases) < 2:
+    """Return the phases with other names for runs if a log has several, because these names then do not mean a rest."""
+    if not has_several_runs(phases):
         return list(phases)
     return [
-        phase._replace(name=phase.name.replace(" ", "-")) if phase.name.startswith(_RUN) else phase for phase in phases
+        phase._replace(name=phase.name.replace(" ", "-")) if phase.name.startswith(RUN) else phase for phase in phases
     ]
 
 
@@ -394,7 +384,7 @@ def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heate
     names = [phase.name for phase in phases]
     if heated:
         return "heating"
-    if any(name.startswith(_RUN) for name in names):
+    if any(name.startswith(RUN) for name in names):
         return "turn-on"
     if _count_attitudes(phases, attitudes) > 1:
         return "tumble"
