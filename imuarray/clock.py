@@ -32,6 +32,11 @@ class MonotonicClock:
             time.sleep(left_ns * 1e-9)
 
 
+def is_virtual(clock: Clock) -> bool:
+    """Return whether a clock advances without real time passing, such as that of the emulated array."""
+    return bool(getattr(clock, "is_virtual", False))
+
+
 def sleep_for(clock: Clock, seconds: float) -> None:
     """Sleep for `seconds` on `clock`: chips need time after a reset or a power-up."""
     clock.sleep_until(clock.now_ns() + round(seconds * 1e9))

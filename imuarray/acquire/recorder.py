@@ -42,7 +42,7 @@ from imuarray.printable import counted
 from imuarray.wall_time import iso_text
 
 BATCH = 1024
-"""Largest number of frames between two writes, for frame rates at which `RecordingOptions.batch_s` has more."""
+"""Largest number of frames between two writes, where `RecordingOptions.write_interval_s` has more."""
 TICK_S = 0.2
 """Interval in s between two checks of conditions that change slowly."""
 _NAP_NS = 200_000_000
@@ -93,7 +93,7 @@ class Poll:
         self._earlier_time_outs = 0
         self.part = 0
         self.tick_frames = max(1, round(TICK_S * rate_hz))
-        self.batch_frames = min(BATCH, max(1, round(options.batch_s * rate_hz)))
+        self.batch_frames = min(BATCH, max(1, round(options.write_interval_s(self.clock) * rate_hz)))
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
         self.truth_rows: list[tuple[int, Any]] = []
 

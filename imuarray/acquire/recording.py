@@ -16,6 +16,7 @@ from datetime import datetime
 from pathlib import Path
 
 from imuarray.acquire.sensor_health import Judge
+from imuarray.clock import Clock, is_virtual
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.writer import Block
 
@@ -146,8 +147,8 @@ class RecordingOptions:
     """Names of parts of the log, in times of the bus's clock."""
     rotate_s: float | None = None
     """Length in s of the parts into which the log is split; each part is a log (`imuarray.log.rotate`)."""
-    batch_s: float = BATCH_S
-    """Time in s between two writes, on the bus's clock."""
+    batch_s: float | None = None
+    """Time in s between two writes, on the bus's clock; None: `write_interval_s` decides."""
     wall_time: datetime | None = None
     """UTC time of the start; None: that of the transcript being replayed, else the wall clock, read once."""
     force: bool = False
@@ -170,3 +171,12 @@ class RecordingOptions:
     """Receives the log's epoch and sensor headers before the log is created; an exception ends the recording."""
     on_first_frame: Callable[[int], None] = lambda time_ns: None
     """Receives the time of the first frame, if the log is split into parts."""
+
+    def write_interval_s(self, clock: Clock) -> float:
+        """Return the time in s between two writes of a recording on this clock: `batch_s`, or else a longer one on a
+        virtual clock unless `on_block` follows the rows.
+        """
+        if self.batch_s is not None:
+            return self.batch_s
+        is_followed = self.on_block is not RecordingOptions.on_block
+        return VIRTUAL_BATCH_S if is_virtual(clock) and not is_followed else BATCH_S

@@ -58,7 +58,11 @@ class _Notes:
 
 
 class _NotedClock:
-    """A clock that records each reading of another one."""
+    """A clock that records each reading of another one. It is not virtual: it is replayed as a clock of real time, and
+    the recording that replays it has to read it as often.
+    """
+
+    is_virtual = False
 
     def __init__(self, clock: Clock, notes: _Notes) -> None:
         self._clock, self._notes = clock, notes

@@ -240,7 +240,6 @@ def command(options: LogOptions) -> int:
     imuarray log array.toml -o night.h5 --rotate 1h --fuse --calibration cal.toml
     """
     from imuarray.acquire import RecordingOptions, record
-    from imuarray.acquire.recording import BATCH_S, VIRTUAL_BATCH_S
     from imuarray.commands.log_display import LogScreen, serve_page
 
     options.check()
@@ -259,8 +258,6 @@ def command(options: LogOptions) -> int:
             fusion.on_remark = screen.remark
             stack.enter_context(closing(fusion))
             listeners = {"on_headers": fusion.begin, "on_first_frame": fusion.set_start, "on_block": fusion.observe}
-        # Live fusion receives rows when they are written, and a transcript is replayed with the usual batches.
-        is_fast = getattr(bus.clock, "is_virtual", False) and not (fusion or recorder)
         recording = RecordingOptions(
             rate_hz=options.rate_hz,
             seconds=options.seconds,
@@ -268,7 +265,6 @@ def command(options: LogOptions) -> int:
             phase=options.phase,
             up=options.up or face_up(options.phase),
             rotate_s=options.rotate_s,
-            batch_s=VIRTUAL_BATCH_S if is_fast else BATCH_S,
             stopped=lambda: stop.asked,
             on_event=screen.event,
             on_counts=screen.counted,

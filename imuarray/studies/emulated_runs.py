@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imuarray.acquire import record
-from imuarray.acquire.recording import VIRTUAL_BATCH_S
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.gap.model.workers import processes
@@ -82,6 +81,5 @@ def record_run(config: Path, path: Path, run: str, seconds: float, seed: int) ->
             phases=phases,
             phase=phase,
             up="+Z" if phase else "",
-            batch_s=VIRTUAL_BATCH_S,
             force=True,
         )

@@ -15,9 +15,11 @@ import pytest
 from imuarray.acquire import connect, record
 from imuarray.acquire.bus_segment import alternating_orders, routes_of
 from imuarray.acquire.recorder import Poll
-from imuarray.acquire.recording import VIRTUAL_BATCH_S, Service
+from imuarray.acquire.recording import VIRTUAL_BATCH_S, RecordingOptions, Service
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
+from imuarray.bus.transcript import RecordingBus
+from imuarray.clock import MonotonicClock
 from imuarray.errors import OutputExistsError, SensorError
 from imuarray.log import open_log
 from imuarray.log.format import Phase
@@ -308,14 +310,31 @@ def test_a_stop_before_the_first_frame_gives_an_empty_log(board: MakeBoard) -> N
 @pytest.mark.slow
 def test_progress_is_reported_every_second(board: MakeBoard) -> None:
     made, frames = board(A=0), list[int]()
-    made.record(800, seconds=3, progress=frames.append)
+    made.record(800, seconds=3, batch_s=1.0, progress=frames.append)
     assert frames == [800, 1600, 2400, 2400]
 
 
 def test_progress_is_reported_after_each_batch(board: MakeBoard) -> None:
+    """Rows are written every five seconds of a virtual clock."""
     made, frames = board(A=0), list[int]()
-    made.record(10, seconds=11, batch_s=VIRTUAL_BATCH_S, progress=frames.append)
+    made.record(10, seconds=11, progress=frames.append)
     assert frames == [50, 100, 110]
+
+
+def test_followed_rows_are_written_every_second(board: MakeBoard) -> None:
+    made, frames = board(A=0), list[int]()
+    made.record(10, seconds=3, on_block=lambda sensor, block: None, progress=frames.append)
+    assert frames[:3] == [10, 20, 30]
+
+
+def test_the_clock_decides_how_often_rows_are_written(tmp_path: Path, board: MakeBoard) -> None:
+    """The clock of a bus that writes a transcript is that of a replay, which takes real time."""
+    options, bus = RecordingOptions(50.0), board(A=0).bus
+    clock, recorder = bus.clock, RecordingBus(bus, tmp_path / "run.jsonl")
+    assert (options.write_interval_s(clock), options.write_interval_s(MonotonicClock())) == (5.0, 1.0)
+    assert RecordingOptions(50.0, batch_s=0.25).write_interval_s(clock) == 0.25
+    with recorder:
+        assert options.write_interval_s(recorder.clock) == 1.0
 
 
 @pytest.mark.slow
@@ -489,7 +508,7 @@ def test_a_log_that_is_cut_short_contains_its_phase(board: MakeBoard) -> None:
             truth_ns = int(log.truth.time[-1]) if log.truth else 0
             seen.append((log.state, log.phases, truth_ns))
 
-    made.record(seconds=3, phase="room", up="-Y", progress=look)
+    made.record(seconds=3, batch_s=1.0, phase="room", up="-Y", progress=look)
     state, phases, last_ns = seen[-2]
     assert state == "being written"
     assert phases == (() if last_ns == 0 else (Phase(0, last_ns + 1, "room", "-Y"),))
