@@ -36,6 +36,10 @@ class Board(NamedTuple):
         self.stimulus[0] = stimulus
         self.wire.clock.sleep_until(self.wire.clock.now_ns() + settle_ns)
 
+    def sleep(self, seconds: float) -> None:
+        """The replacement of a driver's sleep: it advances the clock of the chip."""
+        self.wire.clock.sleep_until(self.wire.clock.now_ns() + round(1e9 * seconds))
+
 
 def board_with(chip: str, address: int, clock: VirtualClock | RealClock | None = None) -> Board:
     """An ideal, noiseless `chip` that was powered up a second ago."""
