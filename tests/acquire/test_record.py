@@ -528,7 +528,7 @@ def test_the_service_manager_is_notified_of_stored_rows(board: MakeBoard) -> Non
             self.heard.append("stopping")
 
     made, manager = board(A=0), Manager()  # rows are stored by a thread, which is given the time for it
-    made.record(seconds=5, service=manager, progress=lambda _: sleep(0.1))
+    made.record(seconds=5, service=manager, progress=lambda _: sleep(0.03))
     *rows, last = manager.heard
     assert last == "stopping"
     assert rows == sorted(rows)

@@ -122,9 +122,9 @@ class Places(ThreadPoolExecutor):
 @pytest.mark.parametrize(("places", "most"), [(3, 3), (0, 1)])
 def test_simultaneous_cases_are_limited_to_the_places(tmp_path: Path, places: int, most: int) -> None:
     """A case waits for a free place."""
-    cases = [case_of(number, "slow") for number in range(9)]
+    cases = [case_of(number, "slow") for number in range(3 * most)]
     with Places([places]) as executor:
-        assert run_cases(cases, tmp_path, worked, executor) == RunSummary(9, 0, (), ())
+        assert run_cases(cases, tmp_path, worked, executor) == RunSummary(3 * most, 0, (), ())
     assert executor.most == [most]
 
 
