@@ -5,7 +5,8 @@ HMC5883L at rest whose rows a busy host stamped. Skipped where the recordings ar
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -101,8 +102,13 @@ def test_lines_are_measured(recordings: dict[str, Recording], name: str, sensor:
     assert said in told
 
 
-def diagnosed(recording: Recording) -> Diagnosis:
-    return imuarray.diagnose([recording.log], replicates=60)
+DiagnosisOf = Callable[[str], Diagnosis]
+
+
+@pytest.fixture(scope="module")
+def diagnosis_of(recordings: dict[str, Recording]) -> DiagnosisOf:
+    """Return the function that gives the diagnosis of a recording, made when a test first needs it."""
+    return cache(lambda name: imuarray.diagnose([recordings[name].log], replicates=60))
 
 
 def named(found: Diagnosis, effect: str, sensor: str) -> Cause:
@@ -112,9 +118,10 @@ def named(found: Diagnosis, effect: str, sensor: str) -> Cause:
     return next(cause for cause in found.causes if cause.effect == effect and sensor in cause.sensors)
 
 
-def test_even_codes_and_the_slope_of_the_bias_are_stated(recordings: dict[str, Recording]) -> None:
+@pytest.mark.campaign
+def test_even_codes_and_the_slope_of_the_bias_are_stated(diagnosis_of: DiagnosisOf) -> None:
     """Slope by R scripts of the source's authors and by block means: -1.72 mg/degC, beyond the data sheet."""
-    found = diagnosed(recordings["freeimu_thermal"])
+    found = diagnosis_of("freeimu_thermal")
     assert named(found, "quantisation", "Acc").parameters["step_lsb"] == 2
     (slope,) = (
         pull
@@ -126,21 +133,22 @@ def test_even_codes_and_the_slope_of_the_bias_are_stated(recordings: dict[str, R
     assert not any(one.effect == "random_walk" and "Acc" in one.sensors for one in found.causes)
 
 
-def test_the_curvature_over_temperature_is_named(recordings: dict[str, Recording]) -> None:
-    found = diagnosed(recordings["freeimu_thermal"])
+@pytest.mark.campaign
+def test_the_curvature_over_temperature_is_named(diagnosis_of: DiagnosisOf) -> None:
+    found = diagnosis_of("freeimu_thermal")
     heat = named(found, "thermal_bias", "Acc").each["Acc"]
     assert heat["slope_g_per_degc"][2] == pytest.approx(-1.72e-3, rel=0.2)
     assert heat["quadratic_g_per_degc2"][2] > 1e-5
 
 
-def test_codes_in_fours_and_the_line_of_the_gyroscope_are_named(recordings: dict[str, Recording]) -> None:
-    found = diagnosed(recordings["sunsided_mpu"])
+def test_codes_in_fours_and_the_line_of_the_gyroscope_are_named(diagnosis_of: DiagnosisOf) -> None:
+    found = diagnosis_of("sunsided_mpu")
     assert named(found, "quantisation", "Acc").parameters["step_lsb"] == 4
     assert named(found, "tone", "Gyro").parameters["frequency_hz"] == pytest.approx(31.4, abs=0.15)
 
 
-def test_the_lines_of_the_magnetometer_are_named(recordings: dict[str, Recording]) -> None:
-    found = diagnosed(recordings["sunsided_mag"])
+def test_the_lines_of_the_magnetometer_are_named(diagnosis_of: DiagnosisOf) -> None:
+    found = diagnosis_of("sunsided_mag")
     lines_hz = [cause.parameters["frequency_hz"] for cause in found.causes if cause.effect == "tone"]
     assert any(hertz == pytest.approx(24.4, abs=0.05) for hertz in lines_hz)
     assert any("an alias of 50 Hz, the mains" in note for note in found.notes)
