@@ -112,7 +112,7 @@ def test_one_half_alone_is_streamed(die: str, half: str, tmp_path: Path) -> None
 @both_kinds()
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
-@pytest.mark.parametrize("seed", some(range(4), 1, 1))
+@pytest.mark.parametrize("seed", some(range(4), 1, 0))
 def test_a_bad_line_invents_no_samples(seed: int, die: str, tmp_path: Path) -> None:
     array = array_of(die)
     bench = bench_of(array, die, drift=-1e-3)

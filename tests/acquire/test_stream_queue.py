@@ -205,7 +205,7 @@ def test_packets_of_high_resolution_are_decoded(tmp_path: Path) -> None:
 
 @both_kinds()
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", some(range(4), 1, 1))
+@pytest.mark.parametrize("seed", some(range(4), 1, 0))
 def test_a_bad_line_loses_packets_and_never_invents_any(seed: int, tmp_path: Path) -> None:
     array = array_of(2)
     bench = bench_of(array, drift=-1e-3)

@@ -81,7 +81,7 @@ def test_a_new_line_is_named_and_an_old_line_is_not(tmp_path: Path) -> None:
 
 
 @pytest.mark.xfail(reason="p is 0.02 to 0.4, depending on the draws of 40 replicates")
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_new_bias_is_named(tmp_path: Path) -> None:
     """1.5 dps on z; from one power-on to the next a change by 0.2 dps is usual."""
     found = since(tmp_path, (), (Bias((0.0, 0.0, 1.5)),))

@@ -176,13 +176,13 @@ def test_a_learned_bias_remains_after_the_loss_of_sensors() -> None:
 
 @pytest.mark.slow
 def test_memory_of_smoothing_does_not_grow_with_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The peak of Python's and numpy's own memory, of 96 s and of 240 s: 2400 and 6000 segments, of which both spools
-    keep the last quarter of a megabyte, less than the segments of either need.
+    """The peak of Python's and numpy's own memory, of 48 s and of 120 s: 1200 and 3000 segments, of which both spools
+    keep the last eighth of a megabyte, less than the segments of either need.
     """
-    monkeypatch.setattr(spooled, "_HELD_BYTES", 1 << 18)
+    monkeypatch.setattr(spooled, "_HELD_BYTES", 1 << 17)
     axes, model = whole()
     peaks = []
-    for blocks in (32, 80):
+    for blocks in (16, 40):
         optimal = Optimal({RATE: axes[RATE]}, model, period_s=PERIOD_S, segment_s=4 * PERIOD_S)
 
         def log(count: int = blocks) -> Iterator[tuple[dict[str, Frames], None]]:
