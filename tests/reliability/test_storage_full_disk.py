@@ -20,6 +20,8 @@ from tests.selection import some
 
 ROOT = Path(__file__).parents[2]
 MIB = 1 << 20
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+"""Under a limit on the length of files, Python would store truncated bytecode, which all later imports refuse."""
 
 
 @pytest.fixture
@@ -54,7 +56,7 @@ except ImuArrayError as error:
     return subprocess.run(
         [sys.executable, "-c", program],
         cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=ENVIRONMENT,
         capture_output=True,
         text=True,
         timeout=120,
@@ -130,7 +132,13 @@ def test_a_low_limit_of_the_file_size_is_an_error_of_one_line(tmp_path: Path, li
     program += "from imuarray.cli import main; sys.exit(main(sys.argv[1:]))"
     words = ["log", "martin2013", "--bus", "emulated:", "--seconds", "30", "-o", str(folder / "run.h5")]
     done = subprocess.run(
-        [sys.executable, "-c", program, *words], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", program, *words],
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert done.returncode == 3
     assert len([line for line in done.stderr.splitlines() if "no hardware" not in line]) == 1
