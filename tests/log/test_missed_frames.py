@@ -231,6 +231,8 @@ def test_events_count_missed_frames_only_in_a_complete_log(tmp_path: Path, recov
         ([5, 6, 7], [5, 6, 7], [("", "adapter")], 0),
         ([5, 6, 7], [5, 6, 7], [("", "bus")], 0),
         ([5, 6, 7, 20, 21], [5, 6, 7], [("Acc", "lost")], 3),
+        ([5, 6, 7], [5, 6, 7], [("Acc", "bus")], 3),
+        ([5, 6, 7], [5, 6, 7], [("Acc", "back"), ("Gyro", "reconfigured")], 3),
         ([5, 6, 7], [5, 6, 7], [], 3),
     ],
 )
@@ -250,6 +252,19 @@ def test_readings_that_all_sensors_lost_are_no_missed_frames(
         assert frame_timing(log) == (missed, pytest.approx(0.4))
     with LogMonitor(path) as watch:
         assert watch.refresh(0.0).missed == missed
+
+
+def test_a_late_last_row_is_no_further_frame(tmp_path: Path) -> None:
+    """40 frames at 100 Hz; the last two rows of the gyroscope are 1.2 periods late."""
+    path = tmp_path / "run.h5"
+    turns = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 114.0)
+    with LogWriter(path, [ACC, turns], source="i2c", epoch="2026-01-01T00:00:00Z", frame_rate_hz=100.0) as writer:
+        times = np.arange(40) * PERIOD_NS
+        late = times + np.where(np.arange(40) < 38, 0, 12_000_000)
+        for name, of_sensor in (("Acc", times), ("Gyro", late)):
+            writer.append(name, Block(of_sensor, np.zeros((40, 3), np.int16), np.zeros(40, np.uint16)))
+    with open_log(path) as log:
+        assert frame_timing(log) == (0, pytest.approx(0.4))
 
 
 def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: Path) -> None:
