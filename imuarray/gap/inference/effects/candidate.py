@@ -49,7 +49,8 @@ class Hypothesis:
 
     * `when`: the spans in which the effect acts (default: always); see `at`.
     * `whole`: the effect shows only in both parts of the recordings together, not in either part alone.
-    * `begin_bounds_s`: earliest and latest time at which the last span begins, if it does not cover its whole log.
+    * `begin_bounds_s`: earliest and latest time at which the last span begins, if it does not cover its whole log; or
+      at which the first effect begins, if it has an onset of its own.
 
     `rarity`: nats by which the effect is rarer than others that look the same (negative: more usual).
     """
