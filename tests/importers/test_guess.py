@@ -11,6 +11,7 @@ import pytest
 from imuarray.cli import main
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import parse_map
+from imuarray.importers.proposal import _power_of_two_wrap
 from imuarray.log import open_log
 from tests.importers.recordings import G, counts_of, lines_of, several_tables, walk
 from tests.selection import some
@@ -368,6 +369,23 @@ def test_sensors_whose_columns_have_the_same_names_are_all_imported(tmp_path: Pa
         for name, first in (("Acc", 0), ("Acc2", 6)):
             value = log[name].counts[:] / log[name].sensitivity * G
             np.testing.assert_allclose(value, both[:, first : first + 3], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("counts", "line"),
+    [
+        (np.arange(1000) % 256, ["wraps_at = 256"]),
+        (np.arange(100) % 16, ["wraps_at = 16"]),
+        (np.arange(100) % 8, []),
+        (np.arange(1000) % 200, []),
+        (1 + np.arange(1000) % 255, []),
+        (np.arange(256), []),
+        (np.append(np.arange(1000) % 256, 130), []),
+    ],
+    ids=["8 bits", "4 bits", "too few bits", "no power of two", "begins at 1", "no fall", "falls by less than half"],
+)
+def test_only_a_fall_from_the_largest_number_of_some_bits_is_a_wrap(counts: np.ndarray, line: list[str]) -> None:
+    assert _power_of_two_wrap(counts.astype(float)) == line
 
 
 @pytest.mark.slow
