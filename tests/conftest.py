@@ -53,14 +53,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 LONGEST = (
     "tests/system/test_own_python.py",
-    "tests/system/test_kernel_iio.py",
+    "tests/system/test_kernel_usbip.py",
     "tests/studies/fusion_gain/test_must_show.py",
     "tests/system/test_service_unit.py",
+    "tests/system/test_kernel_iio.py",
     "tests/studies/test_demo.py",
-    "tests/system/test_kernel_usbip.py",
 )
-"""Files of half a minute or more, of the slow half or of the campaigns. The order gives the guests of either to one
-worker as far as possible, so that they do not run side by side.
+"""Files of half a minute or more, of the slow half or of the campaigns. Two workers begin with one each, so that the
+first two guests do not run side by side.
 """
 
 

@@ -3,7 +3,9 @@
 The array is served over USB/IP by this process, which notes every byte that passes. In the guest the drivers
 inv_mpu6050, st_lsm6dsx, st_gyro and st_magn of a mainline kernel bind to it. Three logs: through the attributes of the
 devices; of buffers that a trigger fills; and of buffers that the drivers fill from the queues of the chips. For the
-last two `build_kernel_modules` builds what Debian's kernel has not.
+last two `build_kernel_modules` builds what Debian's kernel has not. It takes minutes, so it is a campaign: in
+`tests/system/test_kernel_usbip.py` the kernel reads the emulated array, and `tests/acquire/test_iio.py` logs emulated
+device files of IIO.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from imuarray.log import Log, open_log
 from tests.system.conftest import SHARE, HostGuest, module_bytes
 from tests.system.usbip_tap import Rows, WireTap, lsm6dso_rows, mpu_rows, serve_array
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.campaign
 
 MODULES = (
     *("vhci-hcd", "i2c-tiny-usb", "i2c-dev"),
