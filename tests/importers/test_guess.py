@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.cli import main
+from imuarray.importers.column_meaning import _tell_apart
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.proposal import _power_of_two_wrap
@@ -162,6 +163,7 @@ def test_a_guessed_map_imports_unchanged(name: str, tmp_path: Path, capsys: pyte
     guessed = guess_map(tmp_path / "data.csv")
     for line in expected:
         assert line in guessed, guessed
+    assert "its columns state the unit" not in " ".join(guessed.replace("#", " ").split())  # maps have all of them
     (tmp_path / "map.toml").write_text(guessed)
     arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
     assert main(["import", *arguments]) == 0
@@ -369,6 +371,12 @@ def test_sensors_whose_columns_have_the_same_names_are_all_imported(tmp_path: Pa
         for name, first in (("Acc", 0), ("Acc2", 6)):
             value = log[name].counts[:] / log[name].sensitivity * G
             np.testing.assert_allclose(value, both[:, first : first + 3], atol=2e-3)
+
+
+def test_the_second_column_of_a_name_has_its_unit_and_numbers_are_no_names() -> None:
+    apart, units = _tell_apart(["t", "ax", "ay", "ax", "1", "1", "", ""], {"ax": "m/s2", "1": "V"})
+    assert apart == ["t", "ax", "ay", "2.ax", "1", "1", "", ""]
+    assert units == {"ax": "m/s2", "2.ax": "m/s2", "1": "V"}
 
 
 @pytest.mark.parametrize(
