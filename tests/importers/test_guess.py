@@ -417,14 +417,16 @@ def test_a_counter_of_eight_bits_wraps(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_whole_numbers_that_may_be_in_mg_are_doubted(tmp_path: Path) -> None:
-    """Gravity is 1000 in one direction: mg, or 1024 counts per g of a part that is 2 % off."""
+@pytest.mark.parametrize(("gravity", "is_doubted"), [(1000, True), (1024, False)])
+def test_whole_numbers_that_may_be_in_mg_are_doubted(tmp_path: Path, gravity: int, is_doubted: bool) -> None:
+    """Gravity is 1000 in one direction: mg, or 1024 counts per g of a part that is 2 % off. 1024 is the latter."""
     (tmp_path / "data.csv").write_text(
-        text_of("t,ax,ay,az,gx,gy,gz", np.rint(COUNTS * np.array([1000 / 4096] * 3 + [1.0] * 3)), form="{:.0f}")
+        text_of("t,ax,ay,az,gx,gy,gz", np.rint(COUNTS * np.array([gravity / 4096] * 3 + [1.0] * 3)), form="{:.0f}")
     )
     text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
-    assert "sensitivity = 1024 # ? from gravity: 1000 counts" in text
-    assert "# ? Acc: gravity is 1000: 1024 counts per g are assumed; if the columns are in mg, replace" in text
+    assert f"sensitivity = 1024 # ? from gravity: {gravity} counts" in text
+    doubt = f"# ? Acc: gravity is {gravity}: 1024 counts per g are assumed; if the columns are in mg, replace"
+    assert (doubt in text) == is_doubted
 
 
 @pytest.mark.slow
