@@ -103,7 +103,7 @@ class SensorConfig(BaseModel):
             and not str(values.get("bus")).startswith(IIO)
         ):
             values = {**values, "chip": chip_of(values["chip"])}
-        if isinstance(values, dict) and values.get("chip") in HALVES:
+        if isinstance(values, dict) and isinstance(values.get("chip"), str) and values["chip"] in HALVES:
             halves = {str(CHIPS[half].quantity): half for half in HALVES[values["chip"]]}
             meant = halves.get(str(values.get("quantity")), half_of(values["chip"], values.get("range")))
             return {**values, "chip": meant}

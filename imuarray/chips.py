@@ -546,6 +546,8 @@ def die_of(chip: str) -> str:
 
 def half_of(die: str, full_scale: object) -> str:
     """Return the half of `die` that has this range (in g or dps; no number is a range of both halves); `die` if neither
-    has it.
+    has it, or if it is no number.
     """
+    if not isinstance(full_scale, int | float):
+        return die
     return next((half for half in HALVES.get(die, ()) if full_scale in CHIPS[half].sensitivity), die)

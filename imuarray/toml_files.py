@@ -297,9 +297,24 @@ def parse_toml(text: str, model: type[File], where: str) -> File:
         hint = f"; several tables of one name need two brackets: [[{repeated.group(1)}]]" if repeated else ""
         raise ConfigError(f"{where}{f':{line.group(1)}' if line else ''}: not TOML: {error}{hint}") from None
     try:
+        if place := _place_of_nul(table, ()):
+            raise refusal(text, where, [Mistake(place, "", f"{place[-1]}: a text without a NUL character is required")])
         return _check(table, model, text, where)
     except RecursionError:
         raise ConfigError(f"{where}: tables nested without end") from None
+
+
+def _place_of_nul(value: Any, place: Place) -> Place:
+    """Return the place of the first text or key with a NUL character, which HDF5 cannot store; () without one."""
+    if isinstance(value, str):
+        return place if "\0" in value else ()
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in items:
+        if isinstance(key, str) and "\0" in key:
+            return (*place, key)
+        if inner := _place_of_nul(part, (*place, key)):
+            return inner
+    return ()
 
 
 _REPEATED_TABLE = re.compile(r"Cannot declare \('([A-Za-z0-9_-]+)',\) twice")

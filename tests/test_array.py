@@ -158,6 +158,13 @@ def test_an_array_can_be_reduced_to_some_sensors() -> None:
         (changed("[1.0, -2.0, 3.5]", "[1.0, -2.0]"), r"sensor 2 'Gyro': position_mm: .*3"),
         (changed('chip = "bma180"\n', ""), r"sensor 1 'Acc': chip: "),
         # Values of another type.
+        (changed('chip = "bma180"', "chip = { a = 1 }"), r"sensor 1 'Acc': chip: "),
+        (changed('chip = "bma180"', "chip = [[1]]"), r"sensor 1 'Acc': chip: "),
+        (
+            changed('chip = "bma180"\n', 'chip = "lsm6dso"\n').replace("range = 16", "range = { a = 1 }"),
+            r"sensor 1 'Acc': ",
+        ),
+        (changed('name = "small"', r'name = "a\u0000b"'), r"name: a text without a NUL character is required"),
         ('[array]\nname = "x"\n', r"sensor: "),
         ('sensor = []\n[array]\nname = "x"\n', r"sensor: "),
         ('sensor = [3]\n[array]\nname = "x"\n', r"sensor 1: "),

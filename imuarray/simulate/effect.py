@@ -154,7 +154,10 @@ def _spans(values: Any) -> tuple[float, ...]:
 def _tuple(name: str, value: Any, item: Field[Any]) -> tuple[float, ...]:
     """Return a parameter of several numbers as floats; ValueError unless there are as many as it requires."""
     if item.metadata.get("per_axis"):
-        return _triple(value, name)
+        triple = _triple(value, name)
+        if np.isinf(triple).any() and isinstance(item.default, tuple) and np.inf not in item.default:
+            raise ValueError(f"{name}: {value}; finite numbers are required")
+        return triple
     count = len(item.default) if isinstance(item.default, tuple) else 0
     return numbers(name, value, count) if count else tuple(float(number) for number in value)
 

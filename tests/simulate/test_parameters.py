@@ -94,6 +94,8 @@ class TestFromTable:
             (Bias, {"offset_g": "1"}, "offset_g: '1': a number, or a list of 3, is required"),
             (Bias, {"offset_g": [1, 2, "3"]}, "offset_g: [1, 2, '3']: a number, or a list of 3, is required"),
             (Bias, {"offset_g": math.nan}, "offset_g: nan; a number or one for each of x, y, z is required"),
+            (Bias, {"offset_g": -math.inf}, "offset_g: -inf; finite numbers are required"),
+            (Bias, {"offset_g": [0.0, math.inf, 0.0]}, "offset_g: [0.0, inf, 0.0]; finite numbers are required"),
             (Misalignment, {"angles_deg": 1.0}, "angles_deg: 1.0: a list of 6 numbers is required"),
             (Misalignment, {"angles_deg": [99] * 6}, "angles_deg: 99.0; allowed is -80 to 80"),
             (GSensitivity, {"response_g_per_g": [1] * 8}, "response_g_per_g: [1, 1, 1, 1, 1, 1, 1, 1]: a list of 9"),
