@@ -10,7 +10,14 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.gap.recording.recordings import reference_of
-from imuarray.gap.recording.source import DOUBTFUL, RecordedSource, SimulatedSource, Source, simulated_sources
+from imuarray.gap.recording.source import (
+    DOUBTFUL,
+    RecordedSource,
+    RowFilter,
+    SimulatedSource,
+    Source,
+    simulated_sources,
+)
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
 from imuarray.log import open_log
@@ -22,7 +29,7 @@ from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor
-from tests.gap.small_campaign import BASE, RATE_HZ, campaign_of, phases_of, simulation
+from tests.gap.small_campaign import BASE, RATE_HZ, OneBlock, block, campaign_of, header, phases_of, simulation
 from tests.selection import some
 
 TUMBLE = Tumble(10.0, 1.0)
@@ -71,6 +78,23 @@ def test_flags_of_repeated_rows_need_equal_counts(tmp_path: Path) -> None:
     assert np.count_nonzero(flagged) > 400
     assert np.count_nonzero(recorded & STALE) < 0.2 * np.count_nonzero(flagged)
     np.testing.assert_array_equal(simulated[1:], recorded[1:])
+
+
+@pytest.mark.parametrize(
+    ("uncertain_ns", "expected_ns"),
+    [
+        ([5, 1000], [10, 20, 20, 30]),
+        ([10, 20, 25], [30]),
+        ([30], [10, 20, 20]),
+        ([10, 20, 30], []),
+        ([], [10, 20, 20, 30]),
+    ],
+)
+def test_rows_at_uncertain_times_are_left_out(uncertain_ns: list[int], expected_ns: list[int]) -> None:
+    """Also two rows with the same time."""
+    rows = block([1, 2, 3, 4], time=np.array([10, 20, 20, 30]))
+    blocks = RowFilter(OneBlock(header(), rows), np.array(uncertain_ns, np.int64)).blocks(0, 100)
+    assert [at for rows in blocks for at in rows.time.tolist()] == expected_ns
 
 
 @pytest.mark.slow

@@ -155,7 +155,7 @@ class SimulatedSource:
 
 
 class RowFilter:
-    """A source without its rows at the times `uncertain_ns` (u,), which were read at an unknown moment."""
+    """A source without its rows at the ascending times `uncertain_ns` (u,), which were read at an unknown moment."""
 
     def __init__(self, source: Source, uncertain_ns: Times) -> None:
         self.header = source.header
@@ -169,10 +169,13 @@ class RowFilter:
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """Yield the blocks of the source without the uncertain rows."""
         for block in self._source.blocks(start_ns, end_ns):
-            is_certain = ~np.isin(block.time, self._uncertain_ns)
-            if is_certain.all():
+            first, last = np.searchsorted(self._uncertain_ns, block.time[[0, -1]] + (0, 1)).tolist()
+            if first == last:
                 yield block
-            elif is_certain.any():
+                continue
+            near_ns = self._uncertain_ns[first:last]
+            is_certain = near_ns.take(np.searchsorted(near_ns, block.time), mode="clip") != block.time
+            if is_certain.any():
                 temperature = None if block.temperature_counts is None else block.temperature_counts[is_certain]
                 yield Block(block.time[is_certain], block.counts[is_certain], block.status[is_certain], temperature)
 
