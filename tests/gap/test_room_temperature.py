@@ -8,9 +8,10 @@ import pytest
 from imuarray.gap.model.base_model import replicate_seed
 from imuarray.gap.model.replication import SensorModel, Stage
 from imuarray.gap.model.rest import FittedParameters
-from imuarray.gap.model.room_temperature import draw_room_temperature
+from imuarray.gap.model.room_temperature import RoomTemperature, draw_room_temperature
 from imuarray.simulate import Motion
 from imuarray.simulate.motion.faces import Still
+from imuarray.simulate.motion.stimulus import temperature_at
 from imuarray.simulate.streams import Streams
 from tests.gap.small_bench import prepared
 
@@ -23,6 +24,12 @@ def courses(count: int) -> np.ndarray:
     rooms = (draw_room_temperature(STILL, Streams(seed), 0) for seed in range(count))
     degc = np.array([room.stimulus(DAY_NS).temperature_degc for room in rooms])
     return degc - degc.mean(axis=1, keepdims=True)
+
+
+def test_the_course_is_a_sum_of_waves() -> None:
+    room = RoomTemperature(Still(seconds=20, temperature_degc=20.0), 0.5, (4.0, 8.0), (0.0, 0.0))
+    degc = temperature_at(room, np.array([0, 2, 4]) * 10**9)
+    np.testing.assert_allclose(degc, [20.0, 20.5, 20.0], atol=1e-12)
 
 
 @pytest.mark.slow

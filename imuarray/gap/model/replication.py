@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats, Integers
+from imuarray.arrays import Floats, Integers, Reals
 from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
 from imuarray.gap.model.gravity import mean_force_g
-from imuarray.gap.model.rest import REFERENCE_DEGC
+from imuarray.gap.model.rest import REFERENCE_DEGC, FilterDraw
 from imuarray.gap.model.room_temperature import HEAT_DEGC, ROOM_DEGC, draw_room_temperature
 from imuarray.gap.model.vibration import VibratingBox
 from imuarray.gap.recording.phases import is_at_rest
@@ -31,7 +31,7 @@ from imuarray.simulate.effects.bias import Bias, TurnOnBias
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias
-from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, MotionVariant
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, MotionVariant, temperature_at
 from imuarray.simulate.sensor import Demand, SimulatedSensor
 from imuarray.simulate.simulation import Simulation, in_physical_order
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
@@ -67,6 +67,10 @@ class RememberedMotion(MotionVariant):
         """Return the stimuli of the box at times (n,), as read-only arrays."""
         key = ("stimulus", self.owner, time_ns.tobytes())
         return self.memory.recall(key, lambda: _read_only(self.motion.stimulus(time_ns)), _stimulus_bytes)
+
+    def temperature_at(self, time_ns: Integers) -> Reals:
+        """Return the temperature (n,) of the motion at times (n,), which is not cached."""
+        return temperature_at(self.motion, time_ns)
 
 
 def _read_only(stimulus: BoxStimulus) -> BoxStimulus:
@@ -443,14 +447,21 @@ class Stage:
         """Function that returns the effects that are not fitted, by the number of the replicate, with a cache."""
         return lru_cache(maxsize=_KEPT)(self.base.drawn)
 
+    @cached_property
+    def _filter_draws(self) -> Callable[[int], Mapping[str, FilterDraw]]:
+        """Function that returns the filters of all sensors, by the number of the replicate, with a cache."""
+        return lru_cache(maxsize=_KEPT)(
+            lambda number: {name: self.base.filter_draw(name, number) for name in self.base.fitted}
+        )
+
     def _effects(self, models: Models, number: int) -> Effects:
         """Return the effects of every sensor, those of the base model for sensors without a model."""
-        effects = {}
+        effects, filter_draws = {}, self._filter_draws(number)
         depends_on_level = any(effect.name in _OF_LEVELS for model in models.values() for effect in model.added)
         for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
             drawn = [effect for effect in base_effects if effect.name not in model.removed]
-            fitted = model.fitted.effects(self.base.filter_draw(name, number))
+            fitted = model.fitted.effects(filter_draws[name])
             remaining = [*drawn, *(effect for effect in fitted if effect.name not in model.removed)]
             if depends_on_level and self.base.headers[name].quantity in INERTIAL:
                 if len(self.kinds) == 1:  # the fitted level is that of the only boot

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imuarray.arrays import Floats, Integers
-from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, MotionVariant
+from imuarray.arrays import Floats, Integers, Reals
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, MotionVariant, temperature_at
 from imuarray.simulate.streams import Streams
 
 ROOM_DEGC = (0.02, 0.5)
@@ -48,6 +48,10 @@ class RoomTemperature(MotionVariant):
         """Return the stimuli of the box at times (n,), with the temperature of this room."""
         stimulus = self.motion.stimulus(time_ns)
         return replace(stimulus, temperature_degc=stimulus.temperature_degc + self._wander_degc(np.asarray(time_ns)))
+
+    def temperature_at(self, time_ns: Integers) -> Reals:
+        """Return the temperature (n,) of this room at times (n,)."""
+        return np.asarray(temperature_at(self.motion, time_ns) + self._wander_degc(np.asarray(time_ns)))
 
     def _wander_degc(self, time_ns: Integers) -> Floats:
         time_s = time_ns * 1e-9

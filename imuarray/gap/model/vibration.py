@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.fft import next_fast_len
 
-from imuarray.arrays import Floats, Integers
+from imuarray.arrays import Floats, Integers, Reals
 from imuarray.gap.recording.vibration import Vibration
-from imuarray.simulate.motion.stimulus import BoxStimulus, MotionVariant
+from imuarray.simulate.motion.stimulus import BoxStimulus, MotionVariant, temperature_at
 from imuarray.simulate.streams import DrawMemory, Streams
 
 _SAMPLES_A_PERIOD = 6.0
@@ -53,6 +53,10 @@ class VibratingBox(MotionVariant):
             force_box=columns.get("force_box", stimulus.force_box),
             rate_box=columns.get("rate_box", stimulus.rate_box),
         )
+
+    def temperature_at(self, time_ns: Integers) -> Reals:
+        """Return the temperature (n,) of the motion at times (n,)."""
+        return temperature_at(self.motion, time_ns)
 
     def _course(self, vibration: Vibration, time_ns: Integers) -> Floats:
         """Return the vibration (n, 3) at times (n,)."""

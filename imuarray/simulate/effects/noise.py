@@ -10,7 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, per_axis, scalar
-from imuarray.simulate.signal import Analog, Place, Triple, per_row
+from imuarray.simulate.signal import Analog, Place, Triple, by_axis
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Tone(Effect):
         turns = time_s * (hertz + time_s * (self.drift_hz_per_h / 7200) if self.drift_hz_per_h else hertz)
         turns += self._phase_deg(at) / 360
         wave = np.sin(2 * np.pi * (turns - np.floor(turns))).astype(analog.value.dtype)
-        return replace(analog, value=analog.value + wave[:, None] * per_row(self.amplitude, analog.value))
+        return replace(analog, value=analog.value + by_axis(wave, self.amplitude))
 
     def _phase_deg(self, at: Place) -> float:
         if not math.isnan(self.phase_deg):

@@ -10,7 +10,8 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, per_axis, scalar
-from imuarray.simulate.signal import Analog, BoxStimulus, Motion, Place, Triple, per_row
+from imuarray.simulate.motion.stimulus import temperature_at
+from imuarray.simulate.signal import Analog, BoxStimulus, Motion, Place, Triple, by_axis
 
 _STEPS = 50
 """Number of steps of the recursion per time constant."""
@@ -59,7 +60,7 @@ class ThermalLag(Effect):
     def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
         """Return the element's temperature (n,) at times (n,), n > 0, in a box with this motion."""
         if self.time_constant_s == 0.0:
-            return np.asarray(motion.stimulus(time_ns).temperature_degc)
+            return temperature_at(motion, time_ns)
         nodes_ns = self._nodes_ns(time_ns)
         lagged = self._lag(nodes_ns, motion)
         return np.asarray(np.interp((time_ns - nodes_ns[0]).astype(float), nodes_ns - nodes_ns[0], lagged))
@@ -78,7 +79,7 @@ class ThermalLag(Effect):
         """Return the element's temperature at the nodes, starting in equilibrium at the first one."""
         from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
-        box = motion.stimulus(nodes_ns).temperature_degc
+        box = temperature_at(motion, nodes_ns)
         ratio = self._step_ns() * 1e-9 / self.time_constant_s
         phi = math.exp(-ratio)
         old = -math.expm1(-ratio) / ratio - phi  # weights of the box's temperature at the beginning and end of a step
@@ -107,8 +108,8 @@ class ThermalScale(Effect):
         if self.slope == (0.0, 0.0, 0.0):
             return analog
         value = analog.value
-        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
-        return replace(analog, value=value + value * (warmer * per_row(self.slope, value)))
+        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)
+        return replace(analog, value=value + value * by_axis(warmer, self.slope))
 
 
 @dataclass(frozen=True)
@@ -131,11 +132,13 @@ class ThermalBias(Effect):
         if self.slope == self.quadratic == (0.0, 0.0, 0.0):
             return analog
         value = analog.value
-        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
+        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)
         if not any(self.quadratic):
-            return replace(analog, value=value + warmer @ np.array([self.slope], value.dtype))
-        slope = per_row(self.slope, value) + warmer * per_row(self.quadratic, value)
-        return replace(analog, value=value + warmer * slope)
+            return replace(analog, value=value + by_axis(warmer, self.slope))
+        bias = np.empty_like(value)
+        for axis, (slope, quadratic) in enumerate(zip(self.slope, self.quadratic, strict=True)):
+            np.multiply(warmer, slope + warmer * quadratic, out=bias[:, axis])
+        return replace(analog, value=value + bias)
 
 
 @dataclass(frozen=True)

@@ -448,15 +448,19 @@ class LikeLog:
             stimulus, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:]
         )
 
+    def temperature_at(self, time_ns: Integers) -> Reals:
+        """Return the temperature (n,) at times (n,); read-only if it is constant."""
+        warming = self._warming[1]
+        if warming is None:
+            return np.broadcast_to(np.array(ROOM_DEGC), (len(time_ns),))
+        if not self.lead_s:
+            return warming.values_at(time_ns)[:, 0]
+        values, slopes = warming.at(time_ns)
+        return np.asarray(values[:, 0] + self.lead_s * slopes[:, 0])
+
     def _stimulus_at_rest(self, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus of the box at rest, at the temperature of that time."""
-        warming = self._warming[1]
-        degc: float | Reals = ROOM_DEGC
-        if warming is not None and self.lead_s:
-            values, slopes = warming.at(time_ns)
-            degc = values[:, 0] + self.lead_s * slopes[:, 0]
-        elif warming is not None:
-            degc = warming.values_at(time_ns)[:, 0]
+        degc = self.temperature_at(time_ns)
         ends = np.array([time_ns.min(), time_ns.max()]) if len(time_ns) else np.zeros(1, np.int64)
         first, last = self._face_at(ends)[[0, -1]].tolist()
         if first == last:

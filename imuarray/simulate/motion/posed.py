@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, PhaseField, field_at, resting
-from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, thermometer_lag_s
+from imuarray.simulate.motion.stimulus import BoxStimulus, Motion, temperature_at, thermometer_lag_s
 
 if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not need
     from imuarray.simulate.motion.like import SplineColumns
@@ -153,6 +153,10 @@ class PoseSequence:
         if self.fields:
             still = replace(still, field_box=field_at(self.fields, time_ns))
         return self._add_movements(replace(still, pressure_pa=around.pressure_pa), time_ns)
+
+    def temperature_at(self, time_ns: Integers) -> Reals:
+        """Return the temperature (n,) of the surroundings at times (n,)."""
+        return temperature_at(self.surroundings, time_ns)
 
     def _add_movements(self, still: BoxStimulus, time_ns: Integers) -> BoxStimulus:
         """Return the stimulus at rest with the movements added."""

@@ -7,7 +7,7 @@ epoch, vectors are in the box frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
@@ -63,6 +63,21 @@ class MotionVariant:
     def seconds(self) -> float:
         """The duration of the motion."""
         return self.motion.seconds
+
+
+@runtime_checkable
+class Warming(Protocol):
+    """A motion that computes the temperature without the rest of the stimulus."""
+
+    def temperature_at(self, time_ns: Integers) -> Reals:
+        """Return the temperature (n,) of the stimulus at these times (n,)."""
+
+
+def temperature_at(motion: Motion, time_ns: Integers) -> Reals:
+    """Return the temperature (n,) of the box at times (n,), in degC."""
+    if isinstance(motion, Warming):
+        return motion.temperature_at(time_ns)
+    return motion.stimulus(time_ns).temperature_degc
 
 
 def thermometer_lag_s(motion: Motion) -> float:

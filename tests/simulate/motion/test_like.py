@@ -18,6 +18,7 @@ from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion import HandShake
 from imuarray.simulate.motion import like as like_module
 from imuarray.simulate.motion.like import LikeLog, _average
+from imuarray.simulate.motion.stimulus import temperature_at
 
 G = 9.80665
 S = 10**9
@@ -331,3 +332,17 @@ def test_a_box_at_rest_has_the_mean_of_its_track(tmp_path: Path) -> None:
             assert np.abs(getattr(own, name)[[0, 4]] - mean).min() > 1e-3
         assert not own.angular_acceleration_box[1:4].any()
         assert pickle.loads(pickle.dumps(resting)).rests == resting.rests  # noqa: S301
+
+
+@pytest.mark.parametrize(("lead_s", "expected_degc"), [(0.0, [22.0, 23.5]), (2.0, [24.0, 25.5])])
+def test_the_temperature_alone_rises_with_the_track(tmp_path: Path, lead_s: float, expected_degc: list[float]) -> None:
+    """By 1 degC/s: the box is warmer by that, times its lag, than a thermometer that lags."""
+    path = write(tmp_path / "log.h5", tracks={"truth": track(np.arange(0, 10 * S + 1, S // 10))})
+    with Log(path) as log:
+        degc = temperature_at(LikeLog(log, lead_s=lead_s), np.array([2 * S, 3 * S + S // 2]))
+    np.testing.assert_allclose(degc, expected_degc, rtol=1e-9)
+
+
+def test_a_log_without_a_thermometer_has_a_constant_temperature(tmp_path: Path) -> None:
+    with Log(write(tmp_path / "log.h5")) as log:
+        np.testing.assert_array_equal(temperature_at(LikeLog(log), np.array([0, S])), [25.0, 25.0])

@@ -11,6 +11,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import Still, standing_on
 from imuarray.simulate.motion.like import SplineColumns
 from imuarray.simulate.motion.posed import Movement, PoseAttitude, PoseSequence, upright_from
+from imuarray.simulate.motion.stimulus import temperature_at
 
 S = 10**9
 G = 9.80665
@@ -28,6 +29,11 @@ def test_force_is_gravity_along_up_and_the_rate_is_zero() -> None:
     np.testing.assert_array_equal(stimulus.temperature_degc, 31.0)
     np.testing.assert_array_equal(TWO.stimulus(np.array([3 * S])).force_box, stimulus.force_box[1:2])
     assert len(TWO.stimulus(np.zeros(0, np.int64)).force_box) == 0
+
+
+def test_the_temperature_is_that_of_the_surroundings() -> None:
+    warming = PoseSequence((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0, drift_degc_per_h=3600.0))
+    np.testing.assert_allclose(temperature_at(warming, np.array([0, 2 * S, 5 * S])), [31.0, 33.0, 36.0], rtol=1e-12)
 
 
 def test_the_attitude_changes_half_way_between_the_phases() -> None:
