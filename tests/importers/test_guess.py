@@ -13,6 +13,7 @@ from imuarray.importers.column_meaning import _tell_apart
 from imuarray.importers.guess import guess_map
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.proposal import _power_of_two_wrap
+from imuarray.importers.text_layout import TextLayout, note_days
 from imuarray.log import open_log
 from tests.importers.recordings import G, counts_of, lines_of, several_tables, walk
 from tests.selection import some
@@ -371,6 +372,23 @@ def test_sensors_whose_columns_have_the_same_names_are_all_imported(tmp_path: Pa
         for name, first in (("Acc", 0), ("Acc2", 6)):
             value = log[name].counts[:] / log[name].sensitivity * G
             np.testing.assert_allclose(value, both[:, first : first + 3], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("days", "day_format"),
+    [
+        (["12/05/2024", "1/11/2024"], "%m/%d/%Y"),
+        (["12/05/2024", "13/05/2024"], "%d/%m/%Y"),
+        (["5.12.2024"], "%d.%m.%Y"),
+        (["2024-12-05"], "%Y-%m-%d"),
+        (["2024/12/5"], "%Y/%m/%d"),
+        (["12/05/24"], ""),
+    ],
+)
+def test_a_first_number_beyond_twelve_is_a_day(days: list[str], day_format: str) -> None:
+    layout = TextLayout()
+    note_days(layout, [["0.5", f" {day}"] for day in days])
+    assert (layout.day_column, layout.day_format) == ((1, day_format) if day_format else (None, ""))
 
 
 def test_the_second_column_of_a_name_has_its_unit_and_numbers_are_no_names() -> None:

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from imuarray.cli import main
+from imuarray.importers.cells import CellColumn
+from imuarray.importers.table import _is_copy
 from tests.importers.recordings import PER_DPS, PER_G, ROWS, G, counts_of, joined, lines_of, several_tables, walk
 from tests.selection import some
 
@@ -539,6 +541,14 @@ QUICK = (
     "rows that were written twice, said so",
 )
 """Cases of the quick half."""
+
+
+@pytest.mark.parametrize(("last", "is_copy"), [(["7", "8.5"], True), (["7", "8.4"], False), (["6", "8.5"], False)])
+def test_a_copy_has_all_cells_of_the_row_before(last: list[str], is_copy: bool) -> None:
+    """A column of whole numbers, and one of texts."""
+    numbers = CellColumn("a.npy", "count", [1, 2, 3], [], np.array([1, 7, int(last[0])]))
+    texts = CellColumn("a.csv", "ax", [1, 2, 3], ["2", "8.5", last[1]])
+    assert _is_copy([numbers, texts], 2) == is_copy
 
 
 @pytest.mark.parametrize(
