@@ -80,17 +80,17 @@ SHARED = {
     "tests/log/test_format.py": "pandas",
     "tests/log/test_time_uncertainty.py": "pandas",
 }
-"""What files of the quick half share that takes a second to make or to import: a worker gets all files that share it.
-Other files are distributed file by file.
+"""What files share that takes a second or more to make or to import: a worker gets all files that share it. Other files
+are distributed file by file, as all are in the campaigns.
 """
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Distribute the quick half by what is shared, in the place of `--dist loadscope`."""
+    """Distribute the quick and the slow half by what is shared, in the place of `--dist loadscope`."""
     from xdist.scheduler import LoadScopeScheduling
 
-    if config.getvalue("dist") != "loadscope" or "not slow" not in config.option.markexpr:
+    if config.getvalue("dist") != "loadscope" or "not campaign" not in config.option.markexpr:
         return None
 
     class SharedScheduling(LoadScopeScheduling):
