@@ -22,7 +22,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import SQUARES, Cross
 from imuarray.gap.statistics.margins import CORRELATION, VARIANCE, response
-from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Probes, fisher_z, log, once
+from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Probes, fisher_z, log, once_by_sensor
 
 AXES = np.arange(3)
 _REFERENCE, _BENDING = slice(3, 6), np.arange(6, 9)
@@ -200,6 +200,7 @@ def _changes_of(joint: _JointMoments, gains: Floats) -> Floats:
     return np.asarray(np.einsum("oa,ab,ob->o", gains, changes, gains))
 
 
+@once_by_sensor
 def residual(cross: Cross, sensor: str) -> Floats:
     """Return the log of the variance (3,) that the reference does not explain for any delay."""
     joint = _joint_moments(cross, sensor)
@@ -214,7 +215,7 @@ def coupling(cross: Cross, sensor: str) -> Floats:
     if joint is None or joint.moments.shape[0] == 6:
         return NOTHING
     everything = np.arange(3, joint.moments.shape[0])
-    return np.asarray(log(_residual_variance(joint, AXES + 3)) - log(_residual_variance(joint, everything)))
+    return np.asarray(residual(cross, sensor) - log(_residual_variance(joint, everything)))
 
 
 def square(cross: Cross, sensor: str) -> Floats:
@@ -262,17 +263,9 @@ class _JointMoments(NamedTuple):
     changes: Floats
 
 
+@once_by_sensor
 def _joint_moments(cross: Cross, sensor: str) -> _JointMoments | None:
     """Return the joint moments of a sensor; None without a reference, or without windows."""
-    return _all_joint_moments(cross)[sensor]
-
-
-@once
-def _all_joint_moments(cross: Cross) -> dict[str, _JointMoments | None]:
-    return {item.name: _moments_with_others(cross, item.name) for item in cross.sensors}
-
-
-def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
     reference = cross.reference(sensor)
     if reference is None or not cross.windows:
         return None
@@ -319,18 +312,11 @@ def joint_gains(crosses: Sequence[Cross], sensor: str) -> Floats:
     return _coefficients(moments, AXES, AXES + 3).T
 
 
+@once_by_sensor
 def _gains(cross: Cross, sensor: str) -> Floats:
     """Return the response (3, 3) of the sensor's axes (rows) to the reference's (columns)."""
-    return _all_gains(cross)[sensor]
-
-
-@once
-def _all_gains(cross: Cross) -> dict[str, Floats]:
-    nothing = np.full((3, 3), np.nan)
-    return {
-        name: nothing if joint is None else _coefficients(joint.moments, AXES, AXES + 3).T
-        for name, joint in _all_joint_moments(cross).items()
-    }
+    joint = _joint_moments(cross, sensor)
+    return np.full((3, 3), np.nan) if joint is None else _coefficients(joint.moments, AXES, AXES + 3).T
 
 
 def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:

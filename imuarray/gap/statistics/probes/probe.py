@@ -150,6 +150,20 @@ def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:
     return kept
 
 
+def once_by_sensor(work: Callable[[Subject, str], Result]) -> Callable[[Subject, str], Result]:
+    """Cache the results of `work` in its subject, so that each is computed once for several probes of a sensor."""
+    name = f"{work.__module__}.{work.__qualname__}"
+
+    @wraps(work)
+    def kept(subject: Subject, sensor: str) -> Result:
+        results: dict[str, Result] = vars(subject).setdefault(name, {})
+        if sensor not in results:
+            results[sensor] = work(subject, sensor)
+        return results[sensor]
+
+    return kept
+
+
 def log(values: float | npt.ArrayLike) -> Floats:
     """Return the natural logarithm; nan for values that are not positive."""
     if isinstance(values, float):
