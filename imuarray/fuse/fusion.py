@@ -45,6 +45,7 @@ from imuarray.fuse.pipeline import (
     TechniqueSet,
     notes_of,
 )
+from imuarray.fuse.rate_directions import rate_contradictions
 from imuarray.fuse.response_change import RESPONSE_CHANGE, with_response_change
 from imuarray.fuse.spools import FrameSpool
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
@@ -62,7 +63,7 @@ class FusionInputs:
 
     `uncalibrated`: sensors that are fused with data-sheet values. `start_up`: sentences on the states in which sensors
     started. `thermal`: sensors whose bias follows the log's temperature. `temperature`: sentences on sensors that were
-    calibrated at another temperature. `remarks`: sentences on doubts of the log's import, on accelerometers that
+    calibrated at another temperature. `remarks`: sentences on doubts of the log's import, on sensors that
     contradict each other, and on missing parts of the calibration.
     """
 
@@ -106,6 +107,7 @@ def prepare_inputs(
     cold = [sensor.name for sensor in sloped if sensor.name not in warm]
     remarks = [f"{log.path}: {doubts}"] if (doubts := log.import_doubts) else []
     remarks += contradictions(sensors, calibration)
+    remarks += rate_contradictions(sensors, calibration)
     if cold:
         remarks.append(f"{log.path}: no thermometer for the slopes of {', '.join(cold)}; calibrated biases are used")
     lacking = [sensor.name for sensor in sensors if calibration.or_nominal(sensor).noise_lsb is None]
