@@ -25,6 +25,9 @@ UNIT_OF: Mapping[str, str] = MappingProxyType(
 STANDARD_GRAVITY = 9.80665
 """m/s2 in one g; 3rd CGPM (1901)."""
 
+MAINS_HZ = (50.0, 60.0)
+"""Nominal frequencies of the mains in the world's grids; IEC 60196."""
+
 SI_PER_UNIT: Mapping[str, float] = MappingProxyType(
     {"g": STANDARD_GRAVITY, "dps": math.pi / 180, "gauss": 1e-4, "Pa": 1.0, "degC": 1.0}
 )

@@ -12,6 +12,7 @@ from typing import Any
 
 from imuarray.characterise.repeats import STALE_SHARE
 from imuarray.printable import listed
+from imuarray.units import MAINS_HZ
 
 SURE = 1e-6
 """The probability below which a finding is significant, for any number of axes."""
@@ -37,7 +38,6 @@ _LISTED_LINES = 12
 _SPANS = 4
 """Number of listed ranges of missing codes per axis."""
 
-_MAINS_HZ = (50, 60)
 _MAINS_HZ_ERROR = 0.05
 """The mains frequency of large grids stays within this in normal operation (the Continental European grid: 50 mHz)."""
 
@@ -353,8 +353,8 @@ def _mains(line: Mapping[str, Any]) -> str:
     if line.get("width_hz"):
         return ""
     near = 2 * line["frequency_error_hz"] + _MAINS_HZ_ERROR
-    for mains_hz in _MAINS_HZ:
+    for mains_hz in MAINS_HZ:
         if any(abs(hz - mains_hz) < near for hz in line["aliases_hz"]):
             aliased = "" if abs(line["frequency_hz"] - mains_hz) < near else "aliased "
-            return f", possibly {aliased}{mains_hz} Hz mains"
+            return f", possibly {aliased}{mains_hz:g} Hz mains"
     return ""

@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -38,9 +38,7 @@ from imuarray.fuse.least_squares import consensus
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from imuarray.printable import counted
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+from imuarray.splines import cubic_spline
 
 FOREVER_NS = 1 << 62
 """A time in ns that is later than any time of a log."""
@@ -231,7 +229,7 @@ def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats
             continue
         knots, places = (known[run] - known[0]) * 1e-9, (inside - known[0]) * 1e-9
         compiled = compiled_frames.spline_at(knots, rows[run], places)
-        result[first:last] = _spline(knots, rows[run])(places) if compiled is None else compiled
+        result[first:last] = cubic_spline(knots, rows[run])(places) if compiled is None else compiled
     return result
 
 
@@ -253,19 +251,10 @@ def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floa
         knots = (known[run] - known[0]) * 1e-9
         compiled = compiled_frames.spline_derivatives(knots, rows[run])
         if compiled is None:
-            spline = _spline(knots, rows[run])
+            spline = cubic_spline(knots, rows[run])
             compiled = spline(knots, 1), spline(knots, 2)
         first[run], second[run] = compiled
     return first, second
-
-
-def _spline(knots: Floats, rows: Floats) -> CubicSpline:
-    """Return the cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either
-    side of the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV).
-    """
-    from scipy.interpolate import CubicSpline  # would add a third of a second to every command
-
-    return CubicSpline(knots, rows)
 
 
 def _stretches(known: Times, rows: Floats, gap_ns: float) -> list[slice]:

@@ -136,7 +136,7 @@ def delay_noise(
 
 
 def spline_at(knots: Floats, rows: Floats, places: Floats) -> Floats | None:
-    """Return the spline through rows (k, c) at knots (k,) (`alignment._spline`) at increasing places (n,): (n, c). None
+    """Return the spline through rows (k, c) at knots (k,) (`imuarray.splines`) at increasing places (n,): (n, c). None
     without compiled code, and for fewer than four knots.
     """
     if not COMPILED or len(knots) < 4:

@@ -31,6 +31,7 @@ from imuarray.characterise.plots.frame import (
     plot,
     scale_of,
 )
+from imuarray.units import MAINS_HZ
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -130,8 +131,8 @@ def _note(sensor: Table, unit: str) -> str:
 
 BANDS_PER_OCTAVE = 6
 
-MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
-"""Frequencies of the mains and the harmonics of rectifiers and transformers."""
+_NAMED_HZ = (*MAINS_HZ, *(2 * hz for hz in MAINS_HZ))
+"""Frequencies of the mains and their second harmonics, those of rectifiers and transformers."""
 
 _MAINS_WITHIN_HZ = 0.1
 _BINS = slice(2, -1)
@@ -278,7 +279,7 @@ def _label_lines(panel: Axes, curves: list[AxisCurve]) -> None:
 
 def line_label(line: Table) -> str:
     """Return a line's frequency, and the mains frequency that it is an alias of, unless it is a mains frequency."""
-    for mains_hz in MAINS_HZ:
+    for mains_hz in _NAMED_HZ:
         if any(abs(alias_hz - mains_hz) <= _MAINS_WITHIN_HZ for alias_hz in line["aliases_hz"]):
             really = "" if abs(line["frequency_hz"] - mains_hz) <= _MAINS_WITHIN_HZ else f"{mains_hz:g} Hz "
             return f"{line['frequency_hz']:.4g} Hz ({really}mains?)"

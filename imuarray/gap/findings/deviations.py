@@ -18,7 +18,7 @@ from imuarray.gap.inference.comparison import Comparison
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key, statistics
-from imuarray.gap.statistics.lines import MAINS_HZ, highest_lines, pool_spectra, unaliased_hz
+from imuarray.gap.statistics.lines import highest_lines, pool_spectra, unaliased_hz
 from imuarray.gap.statistics.margins import SensorConditions
 from imuarray.gap.statistics.pairs import Pairs, spread_of
 from imuarray.gap.statistics.probes import PROBES
@@ -27,7 +27,7 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.gap.statistics.synthetic_likelihood import FORM
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.noise import Tone
-from imuarray.units import READABLE
+from imuarray.units import MAINS_HZ, READABLE
 
 TWO_SIDED_95 = 1.96
 

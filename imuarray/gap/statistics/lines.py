@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 
 from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
+from imuarray.units import MAINS_HZ
 
 HALF_WIDTH = 2
 """Number of bins on each side over which a Hann window spreads a line."""
@@ -25,8 +26,6 @@ _HIGH = 4.0
 which is nearly normal (Wilson and Hilferty, PNAS 17, 1931).
 """
 
-MAINS_HZ = (50.0, 60.0)
-"""Frequencies of the mains."""
 
 HARMONICS = 3
 """Number of multiples of the mains' frequency that are searched: transformers and rectifiers make the second and third.

@@ -27,6 +27,7 @@ from imuarray.errors import SourceError
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M, ROOM_DEGC
 from imuarray.simulate.motion.stimulus import BoxStimulus
+from imuarray.splines import cubic_spline
 from imuarray.units import SI_PER_UNIT
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ class Trajectory(_TrajectoryRows):
 
     @cached_property
     def _place(self) -> CubicSpline:
-        return _spline(self._row_s, self.place_m)
+        return cubic_spline(self._row_s, self.place_m)
 
     @cached_property
     def _attitude(self) -> RotationSpline:
@@ -135,18 +136,11 @@ class StimulusRows(_TrajectoryRows):
 
     @cached_property
     def _force(self) -> CubicSpline:
-        return _spline(self._row_s, self.force_box)
+        return cubic_spline(self._row_s, self.force_box)
 
     @cached_property
     def _rate(self) -> CubicSpline:
-        return _spline(self._row_s, self.rate_box)
-
-
-def _spline(row_s: Reals, rows: Floats) -> CubicSpline:
-    """Return the cubic spline through rows (n, k) at times (n,)."""
-    from scipy.interpolate import CubicSpline  # imported late because SciPy takes long to load
-
-    return CubicSpline(row_s, rows)
+        return cubic_spline(self._row_s, self.rate_box)
 
 
 TIME = "time_s"
