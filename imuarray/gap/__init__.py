@@ -5,10 +5,10 @@ The model
 A **recording** x is a campaign of logs of one array: times, raw counts and flags of each triad, with phases, tracks
 and temperatures if the logs contain them. A **simulator** makes recordings of the same form from
 
-* **fitted parameters** theta: noise, bias, linear thermal slope of the bias, and the chip's own filter. Each replicate
-  draws the cutoff of the filter within the uncertainty that the rows leave. The noise of half of the replicates has the
-  measured correlations instead, since no fitted filter has exactly the form of the chip's. If the correlations fit no
-  filter, the noise of all replicates has them;
+* **fitted parameters** theta: noise, bias, linear thermal slope of the bias (one steeper than that of any part is an
+  effect), and the chip's own filter. Each replicate draws the cutoff of the filter within the uncertainty that the rows
+  leave. The noise of half of the replicates has the measured correlations instead, since no fitted filter has exactly
+  the form of the chip's. If the correlations fit no filter, the noise of all replicates has them;
 * **nuisance parameters** nu: properties of a unit that a data sheet does not specify, each with a tolerance
   (`model.populations`). The following are profiled within their tolerances: scale error, misalignment, g-sensitivity
   and tilt of the box; the lag of an element behind the temperature of the box, up to the lag of the dies by their own

@@ -41,6 +41,7 @@ from imuarray.gap.model.populations import (
     THERMAL_GROWTH_SIGMA,
     TOLERANCE_SIGMAS,
     response_tolerance,
+    steepest_slope,
     usual_flicker,
     usual_model,
 )
@@ -298,7 +299,7 @@ class Base:
             if header.quantity in INERTIAL and ThermalBias in kinds and ThermalLag not in kinds:
                 yield ThermalLag(float(stream.uniform(0.0, LONGEST_LAG_S)))
             return
-        slope = np.array(self.fitted[header.name].slope)
+        slope = np.array(self.fitted[header.name].raw_slope)
         growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
         x, y, z = (growth * slope).tolist()
         yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
@@ -369,7 +370,7 @@ def fit(
     if accelerometers is None:
         accelerometers = number_of_accelerometers(headers.values())
     fitted = {
-        name: fit_sensor(header, rests[name], response_tolerance(header, accelerometers))
+        name: fit_sensor(header, rests[name], response_tolerance(header, accelerometers), steepest_slope(header))
         for name, header in headers.items()
     }
     for name, lag_s in lags_s.items():

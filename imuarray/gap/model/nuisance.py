@@ -74,7 +74,7 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
             yield NuisanceEstimate("bias", header.name, axis, value, header.unit, tolerance, _SHEET)
     if fitted.is_slope_known:
         unit = f"{header.unit}/degC"
-        for axis, value, tolerance in zip(AXES, fitted.slope, slope_tolerance(header), strict=True):
+        for axis, value, tolerance in zip(AXES, fitted.raw_slope, slope_tolerance(header), strict=True):
             yield NuisanceEstimate("thermal slope of the bias", header.name, axis, value, unit, tolerance, _SHEET)
     yield from _of_noise(header, fitted)
     if fitted.low_pass is not None:

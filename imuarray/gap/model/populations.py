@@ -62,6 +62,11 @@ THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0
 L3G-71 print the same values. For a magnetometer at rest it is the change of its scale (0.3 % of half a gauss: HMC-57).
 """
 
+STEEPEST_SLOPE = 2.0
+"""Largest slope of a bias that is a property of a part, in its tolerances: data sheets print typical slopes, and those
+of parts without a fault reach 1.9 tolerances. A steeper one is not fitted, and can be explained by an effect.
+"""
+
 SCALE_SLOPE_SIGMA = 1e-4
 """Standard deviation of the relative change of a scale per degC, for chips whose data sheet is not known (ADX-64,
 BMA-116).
@@ -259,6 +264,14 @@ def slope_tolerance(header: SensorHeader) -> tuple[float, float, float]:
     usual = TOLERANCE_SIGMAS * THERMAL_SLOPE_SIGMA.get(header.unit, math.nan)
     key = f"slope_{header.unit}_per_degc"
     x, y, z = (_reach(header, "thermal_bias", key, usual, axis) for axis in range(3))
+    return x, y, z
+
+
+def steepest_slope(header: SensorHeader) -> tuple[float, float, float]:
+    """Return the largest change of a bias per degC of each axis, in the sensor's unit, that is a property of a part;
+    infinite for a unit without a usual value.
+    """
+    x, y, z = (STEEPEST_SLOPE * bound if bound == bound else math.inf for bound in slope_tolerance(header))
     return x, y, z
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats, Integers
+from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.model.element_temperature import LEAST_HEATING_DEGC
 from imuarray.gap.model.signal_delay import NO_DELAY, SignalDelay
 from imuarray.gap.statistics.segments import Segments
@@ -58,6 +58,9 @@ _PASSES = 4
 fixed and the others are fitted again.
 """
 
+STEEP_SPAN_DEGC = 5.0
+"""Least change of temperature with which a slope can be too steep for a part."""
+
 NO_RESPONSE = ((0.0, 0.0, 0.0),) * 3
 """The response of a part that follows its nominal axes and scale exactly."""
 
@@ -87,8 +90,9 @@ class FittedParameters:
     never at rest.
 
     `rms`: noise without rounding. `offset`: bias at 25 degC. `slope`: change of the bias per degC of the element's
-    temperature. `response`: change of the reading of each axis (row) per unit of specific force along each axis
-    (column), dimensionless for an accelerometer and in the sensor's unit per g for others, within the chip's tolerance;
+    temperature, 0 on an axis on which it is too steep for a part; `raw_slope`: the same without that bound.
+    `response`: change of the reading of each axis (row) per unit of specific force along each axis (column),
+    dimensionless for an accelerometer and in the sensor's unit per g for others, within the chip's tolerance;
     `raw_response`: the same without that bound. `is_slope_known`: whether temperatures differed enough. `low_pass`: the
     chip's own low-pass filter (None: white noise); `low_pass_sd`: standard deviation of the log of its cutoff;
     `measured_low_pass`: the same filter with the measured correlations, if they are known.
@@ -99,6 +103,7 @@ class FittedParameters:
     rms: Triple
     offset: Triple
     slope: Triple
+    raw_slope: Triple = (0.0, 0.0, 0.0)
     response: Matrix = NO_RESPONSE
     raw_response: Matrix = NO_RESPONSE
     is_slope_known: bool = False
@@ -276,16 +281,20 @@ def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
     return np.asarray(vectors_box @ np.array(header.orientation) * unit * header.adjustment)
 
 
-def fit_sensor(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
+def fit_sensor(
+    header: SensorHeader, phases: Sequence[Rest], tolerance: Floats, steepest: Sequence[float] = (math.inf,) * 3
+) -> FittedParameters:
     """Fit the parameters of one sensor to its phases; all zero without phases.
 
     The noise is the median of the segments' variances; the slope is that of the readings less the stimulus over
     temperature; offset and response are fitted to the remaining levels, with equal weights of the faces. `tolerance`
-    (3, 3) bounds the response.
+    (3, 3) bounds the response. On an axis whose slope exceeds the `steepest` (3,) of a part no slope is fitted, if the
+    temperature changes by `STEEP_SPAN_DEGC`: a smaller change does not distinguish a slope from a wander.
     """
     if not phases:
         return FittedParameters(*((0.0, 0.0, 0.0),) * 3)
-    slope = slope_of(phases)
+    raw_slope = slope_of(phases)
+    slope = raw_slope and _triple(np.where(_is_steep(phases, raw_slope, steepest), 0.0, raw_slope))
     faces: dict[str, list[tuple[Floats, Floats]]] = {}
     for phase in phases:
         level = phase.deviation - (phase.degc - REFERENCE_DEGC)[:, None] * (slope or (0.0, 0.0, 0.0))
@@ -301,10 +310,17 @@ def fit_sensor(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) 
         _triple(rms / header.sensitivity),
         _triple(offset),
         slope or (0.0, 0.0, 0.0),
+        raw_slope or (0.0, 0.0, 0.0),
         _matrix(response),
         _matrix(raw),
         slope is not None,
     )
+
+
+def _is_steep(phases: Sequence[Rest], slope: Triple, steepest: Sequence[float]) -> Booleans:
+    """Return on which axes (3,) a slope is steeper than that of a part, over a sufficient change of temperature."""
+    degc = np.concatenate([phase.degc for phase in phases])
+    return np.abs(slope) > (steepest if np.ptp(degc) >= STEEP_SPAN_DEGC else math.inf)
 
 
 def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats) -> tuple[Floats, Floats]:

@@ -14,7 +14,7 @@ from imuarray.gap.inference.effects.candidate import Hypothesis, with_removal
 from imuarray.gap.inference.effects.levels import Levels, centre, levels
 from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.model.populations import scale_slope_tolerance, scale_tolerance
+from imuarray.gap.model.populations import scale_slope_tolerance, scale_tolerance, steepest_slope
 from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag, ThermalScale
@@ -72,16 +72,15 @@ _CLEAR = 2.0
 
 
 def guess_thermal_bias(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the quadratic term by least squares; or a linear term if only the levels of several logs determine it,
-    which the base model does not fit.
+    """Suggest the quadratic term by least squares; and a linear term if it is one that the base model does not fit: too
+    steep for a part, or a change since an earlier recording, or determined only by the levels of several logs.
     """
     table = levels(evidence)
     if not len(table.degc) or not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     if _is_warmed(table):
         yield from _squares(table)
-        if not evidence.is_refitted:
-            yield from _slope_since(evidence)
+        yield from _unfitted_slope(evidence)
     elif np.ptp(table.degc) >= _LEAST_DEGC:
         yield from _slope_between_logs(table)
 
@@ -98,10 +97,15 @@ def _squares(table: Levels) -> Iterator[Hypothesis]:
         yield Hypothesis((ThermalBias(tuple(slope), tuple(quadratic)),), ("quadratic",))
 
 
-def _slope_since(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest a slope that has changed since an earlier recording, to which the base model was fitted."""
+def _unfitted_slope(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest a slope that is too steep for a part, or one that has changed since an earlier recording, to which the
+    base model was fitted.
+    """
+    slope = np.nan_to_num(evidence.typical("thermal_slope"))
     odd = np.abs(evidence.score("thermal_slope")) > _BEYOND
-    x, y, z = np.where(odd, np.nan_to_num(evidence.typical("thermal_slope")), 0.0).tolist()
+    if evidence.is_refitted:
+        odd &= np.abs(slope) > steepest_slope(evidence.header)
+    x, y, z = np.where(odd, slope, 0.0).tolist()
     if any((x, y, z)):
         yield Hypothesis((ThermalBias(slope=(x, y, z)),), ("slope",))
 
