@@ -14,6 +14,8 @@ UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 """The six orientations of a box on a table: the box axis that points up."""
 
 AXES = re.compile(r"([+-])([XYZ])" * 3)
+_MOST_SHOWN = 40
+"""Longest text of a file that an error repeats in full."""
 
 
 @cache
@@ -23,8 +25,9 @@ def orientation_of(axes: str) -> Matrix:
     """
     match = AXES.fullmatch(axes)
     if match is None:
+        shown = axes if len(axes) <= _MOST_SHOWN else f"{axes[:_MOST_SHOWN]}..."
         raise ValueError(
-            f"axes {axes!r}: write the box axes along which the sensor's x, y and z point, such as '+Y+X-Z'"
+            f"axes {shown!r}: write the box axes along which the sensor's x, y and z point, such as '+Y+X-Z'"
         )
     signs = [1.0 if sign == "+" else -1.0 for sign in match.groups()[0::2]]
     rows = ["XYZ".index(axis) for axis in match.groups()[1::2]]

@@ -31,7 +31,7 @@ from imuarray.log.format import (
 )
 from imuarray.log.untrusted_input import plain_value
 from imuarray.spelling import guess
-from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
+from imuarray.units import QUANTITIES, SI_PER_UNIT, UNIT_OF, Quantity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,6 +91,10 @@ class SensorLog(CountScale):
         self.chip = self._text("chip")
         self.quantity = self._text("quantity", QUANTITIES)
         self.unit = self._text("unit", tuple(SI_PER_UNIT))
+        if self.is_triad and self.unit != UNIT_OF[self.quantity]:
+            raise LogError(
+                f"{where}: attribute unit is {self.unit!r}; allowed for {self.quantity} is {UNIT_OF[self.quantity]}"
+            )
         # The words of a barometer or a thermometer have no scale of their own; not every recorder writes one.
         default = None if self.is_triad else 0.0
         self.range = self._magnitude("range", default)

@@ -180,6 +180,10 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         (attribute("sensors/Gyro", "rate_hz", -1), "Gyro: attribute rate_hz is -1, 0 or more is required$"),
         (attribute("sensors/Acc", "chip", None), "sensor Acc: attribute chip is missing"),
         (attribute("sensors/Acc", "quantity", "speed"), "sensor Acc: attribute quantity is 'speed'; allowed are "),
+        (
+            attribute("sensors/Acc", "unit", "dps"),
+            "sensor Acc: attribute unit is 'dps'; allowed for specific_force is g",
+        ),
         (attribute("sensors/Acc", "unit", "m"), "sensor Acc: attribute unit is 'm'; allowed are g, dps"),
         (attribute("sensors/Acc", "range", "wide"), "sensor Acc: attribute range is 'wide', a number is required"),
         (attribute("sensors/Acc", "sensitivity", np.nan), "sensor Acc: attribute sensitivity is nan, a finite number"),
@@ -190,6 +194,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         (attribute("sensors/Acc", "rate_hz", [1.0, 2.0]), "sensor Acc: attribute rate_hz is .* a number is required"),
         (attribute("sensors/Acc", "axes", "+X+Y-Z"), r"sensor Acc: axes '\+X\+Y-Z': this triad is left-handed"),
         (attribute("sensors/Acc", "axes", 5), "sensor Acc: attribute axes is"),
+        (attribute("sensors/Acc", "axes", "Q" * 60_000), f"sensor Acc: axes '{'Q' * 40}\\.\\.\\.': write the box axes"),
         (
             attribute("sensors/Acc", "orientation", np.diag([1.0, 1.0, -1.0])),
             "sensor Acc: attribute orientation is not a 3x3 rotation",
