@@ -150,7 +150,7 @@ def test_no_row_waits_longer_than_the_limit(
         append(writer, sensor, block)
 
     monkeypatch.setattr(LogWriter, "append", timed)
-    summary = made.record(rate_hz, seconds=max(60 / rate_hz, 60))
+    summary = made.record(rate_hz, seconds=max(60 / rate_hz, 60), batch_s=1.0)
     assert HELD_S == 10.0
     assert len(waits_s) > 30
     assert max(waits_s) <= HELD_S + 2 / rate_hz + 1.5

@@ -199,7 +199,9 @@ def test_each_part_has_its_own_missed_frames(tmp_path: Path) -> None:
             bus.clock.advance(round(delays.pop(place, 0.0) * 1e9))
             return False
 
-        summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=20, rotate_s=5.0, stopped=stopped)
+        summary = record(
+            array, bus, tmp_path / "run.h5", rate_hz=50, seconds=20, rotate_s=5.0, stopped=stopped, batch_s=1.0
+        )
     assert (summary.missed, summary.seconds) == (4 * 6 + 9, 20.0)
     paces = []
     for path in summary.logs:

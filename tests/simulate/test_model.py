@@ -351,7 +351,11 @@ TABLES = st.fixed_dictionaries(
 
 
 @settings(max_examples=examples(50), deadline=None)
-@given(st.text(min_size=1), st.lists(TABLES, max_size=7), st.lists(TABLES, max_size=3))
+@given(
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1),
+    st.lists(TABLES, max_size=7),
+    st.lists(TABLES, max_size=3),
+)
 def test_a_model_round_trips(name: str, designs: list[dict[str, object]], sensors: list[dict[str, object]]) -> None:
     ranges = (1, 1.5, 2, 3, 4, 8, 16)
     table = {

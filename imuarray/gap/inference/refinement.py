@@ -189,9 +189,10 @@ _DONE, _CONVERGED = 0.03, 0.1
 further step is made.
 """
 
-_DISPLACED = 1.0
-"""Difference between the offsets of a trial's models and those that the recording has, in standard deviations of a
-reading, from which on the trial is simulated with the latter before a step.
+_DISPLACED = 4.0
+"""Difference between the offsets of a trial's models and those that the recording has, from which on the trial is
+simulated with the latter before a step: in standard deviations of the offsets of replicates, in which parts differ, and
+of a reading.
 """
 
 _ADAPTED, _FITS = 2, 0.5
@@ -334,11 +335,13 @@ def _is_displaced(bench: Bench, standing: UnitState, state: _TrialState) -> bool
     models = state.hypothesis.models
     if models is None:
         return False
-    return any(
-        bool((np.abs(np.subtract(settled.fitted.offset, models[name].fitted.offset)) > _DISPLACED * noise).any())
-        for name, settled in state.statistics.settled.items()
-        for noise in (standing.target[name].noise(bench.base.headers[name]),)
-    )
+    for name, settled in state.statistics.settled.items():
+        noise = standing.target[name].noise(bench.base.headers[name])
+        spread = np.std([fitted[name].offset for fitted in state.statistics.fits], axis=0, ddof=1)
+        displacement = np.abs(np.subtract(settled.fitted.offset, models[name].fitted.offset))
+        if (displacement > _DISPLACED * np.hypot(spread, noise)).any():
+            return True
+    return False
 
 
 class _TrialStatistics(NamedTuple):
