@@ -49,11 +49,15 @@ def up_vector(up: str) -> tuple[float, float, float]:
     return (x, y, z)
 
 
+CHECK = "_check"
+"""End of the name of a face that is read again."""
+
+
 def face_up(phase: str) -> str:
     """Return the box axis that points up in a phase named after a face: "-X" for "x_down" and "x_down_check",
     else "".
     """
-    axis, _, way = phase.removesuffix("_check").partition("_")
+    axis, _, way = phase.removesuffix(CHECK).partition("_")
     if axis in ("x", "y", "z") and way in ("up", "down"):
         return ("+" if way == "up" else "-") + axis.upper()
     return ""

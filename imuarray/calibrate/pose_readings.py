@@ -21,13 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
-from imuarray.axes import UP_AXES, face_up, up_vector
+from imuarray.axes import CHECK, UP_AXES, face_up, up_vector
 from imuarray.characterise.noise import LEFT_OUT
 from imuarray.characterise.stretch import GAP, broken_rows
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
-from imuarray.log.rests import CHECK, OVEN_NAMES, is_at_rest
+from imuarray.log.rests import OVEN_NAMES, is_at_rest
 from imuarray.log.row_timing import row_timing
 from imuarray.series import add_windows
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from imuarray.axes import CHECK, face_up
 from imuarray.log.format import Phase
 
 STILL_NAMES = frozenset({"static", "room"})
@@ -23,12 +24,6 @@ STILL_NAMES = frozenset({"static", "room"})
 
 MOVING_NAMES = frozenset({"motion"})
 """Names of phases in which the box moves, whether or not an axis is noted as up."""
-
-FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
-"""Names of rests on a face: the axis that points up or down."""
-
-CHECK = "_check"
-"""End of the name of a face that is read again."""
 
 OVEN_NAMES = frozenset({"heat", "heating", "warm-up", "soak", "cool", "cooling"})
 """Names of phases in which the box is at rest while its temperature changes."""
@@ -45,13 +40,13 @@ def is_at_rest(phase: Phase) -> bool:
     name is not that of a motion.
     """
     name = phase.name
-    is_named = name in STILL_NAMES or name.removesuffix(CHECK) in FACE_NAMES or name in OVEN_NAMES
+    is_named = name in STILL_NAMES or bool(face_up(name)) or name in OVEN_NAMES
     return is_named or name.startswith((RUN, _POSE)) or (bool(phase.up) and name not in MOVING_NAMES)
 
 
 def is_face_check(phase: Phase) -> bool:
     """Return whether a phase is a face that is read again."""
-    return phase.name.endswith(CHECK) and phase.name.removesuffix(CHECK) in FACE_NAMES
+    return phase.name.endswith(CHECK) and bool(face_up(phase.name))
 
 
 def has_several_runs(phases: Sequence[Phase]) -> bool:
